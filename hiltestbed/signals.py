@@ -194,7 +194,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         return f"RunTrace({len(self.t)} rows, {span}: t, {', '.join(self.data)}, contact)"
 
     def _repr_html_(self) -> str:
-        from hiltestbed.run_folder.notebook import html_table
+        from hiltestbed.run_folder.folders import html_table
 
         rows = [
             (g.name, ", ".join(g.parts), ", ".join(dict.fromkeys(g.units)), g.frame, g.meaning)

@@ -11,7 +11,7 @@ from typing import Any
 from hiltestbed import plugins
 from hiltestbed.analysis.ledger import delay_ledger, predicted_log_error
 from hiltestbed.analysis.metrics import ContactFigures
-from hiltestbed.analysis.moving_parts import MovingParts
+from hiltestbed.analysis.outcome import MovingParts
 from hiltestbed.analysis.stability import stability
 from hiltestbed.compensation.resynchronised.drive import ResynchronisedDrive
 from hiltestbed.config.budget import refuse_beyond, run_budget

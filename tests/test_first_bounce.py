@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from hiltestbed import run
-from hiltestbed.analysis.bounce import bounce
 from hiltestbed.analysis.stability import EXACT, RigResponse
-from hiltestbed.analysis.trial import first_contact
+from hiltestbed.analysis.trial import bounce, first_contact
 from hiltestbed.contact.directions import directions
 from tests.running import judged, shipped
 

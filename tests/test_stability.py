@@ -18,7 +18,7 @@ from hiltestbed.analysis.stability import (
     net_damping,
     stability,
 )
-from hiltestbed.contact.directions import directions
+from hiltestbed.contact.directions import directions, insertion
 from hiltestbed.contact.touch import first_touch
 from hiltestbed.errors import InputError
 from hiltestbed.loop import Loop
@@ -115,7 +115,8 @@ def test_the_critical_damping_of_a_second_order_with_delay() -> None:
     closed = critical_damping(effective_mass(late(1.0)), K)
     response = measured_response(late(closed))
     for factor, stable in ((1.02, True), (0.98, False)):
-        found = judge(late(factor * closed), response, 0.0)
+        scenario = late(factor * closed)
+        found = judge(scenario, response, 0.0, True, insertion(scenario), None)
         assert found is not None
         assert found.stable is stable
     around = np.array([0.9, 0.95, 1.0, 1.05, 1.1]) * closed

@@ -11,6 +11,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from hiltestbed.run_folder.folders import number
+
 # of the approach energy: the relative change of e is half of it over e^2, as for a 0.5 % gain error
 # of the force sensor
 NEUTRAL = 5e-3
@@ -64,6 +66,43 @@ def monitored(summary: dict[str, Any]) -> tuple[str, str] | None:
         ]
         note = f"{'worn' if wear['alarm'] else 'not worn'}: {', '.join(sizes)}"
     return ", ".join(f"{name} at {at:.3f} s" for at, name in events) or "nothing", note
+
+
+def figures_of(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Name, value and meaning of each figure of a run, as texts."""
+    cor, reference, count = summary["cor"], summary["cor_reference"], summary["contacts"]
+    contacts = f"{count} contact{'' if count == 1 else 's'}"
+    if (captured := summary["captured_at"]) is not None:
+        contacts += f", latched at {captured:.3f} s"
+    known = "" if reference is None else f"reference {reference:.4f} (no delay, ideal)"
+    missed = "" if cor is not None else "no rebound to measure"
+    rows = [
+        ("outcome", summary["outcome"].replace("_", " "), contacts),
+        ("coefficient of restitution", number(cor), "; ".join(filter(None, (missed, known)))),
+    ]
+    if (error := summary["cor_log_error"]) is not None:
+        off = f"{100.0 * math.expm1(error):+z.1f} %"
+        predicted = summary.get("cor_log_error_predicted")
+        off += "" if predicted is None else f"; the delay ledger predicts {predicted:+.4f}"
+        rows.append(("  ln of the ratio", f"{error:+.4f}", off))
+    elif (along := summary.get("cor_normal")) is not None:
+        reference = number(summary.get("cor_normal_reference"))
+        note = f"of the first contact, speed after over before; reference {reference}"
+        rows.append(("  along the impulse", number(along), note))
+    made = number(summary["energy_generated"], 4, "J")
+    rows.append(("energy made by the rig", made, _energy(summary)[1]))
+    if stability := summary.get("stability"):
+        judged = {True: "stable", False: "unstable", None: "not judged"}[stability["stable"]]
+        why = stability["verdict"].removeprefix(f"{judged}: ").removeprefix(f"{judged} ")
+        rows.append(("the loop in contact", judged, why))
+    lasted = summary["contact_duration"]
+    rows += [
+        ("peak force", number(summary["peak_force"], 4, "N"), ""),
+        ("contact time", number(lasted, 4, "s"), "" if lasted else "the ports did not touch"),
+    ]
+    if (seen := monitored(summary)) is not None:
+        rows.append(("process monitoring", *seen))
+    return rows
 
 
 def energy_share(summary: dict[str, Any]) -> float | None:

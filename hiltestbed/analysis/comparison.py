@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hiltestbed.errors import InputError, MissingExtra, printable
 from hiltestbed.report.curves import PALETTE
-from hiltestbed.run_folder.notebook import html_table, number
+from hiltestbed.run_folder.folders import html_table, number
 from hiltestbed.run_folder.result import Run
 from hiltestbed.run_folder.store import read_run
 from hiltestbed.scenario import resolved

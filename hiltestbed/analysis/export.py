@@ -16,7 +16,7 @@ from typing import Any
 
 import mujoco
 
-from hiltestbed.analysis.mujoco_contact import mujoco_parameters
+from hiltestbed.analysis.mujoco_contact import RADIUS, mujoco_parameters
 from hiltestbed.analysis.spring_damper import SpringDamper, reduced_mass
 from hiltestbed.axis.dataset import AxisDataset, is_axis
 from hiltestbed.axis.mjcf import axis_mjcf, axis_model, listed, mjcf_text, number
@@ -28,7 +28,6 @@ from hiltestbed.platform.effects.response import LAG_DAMPING
 from hiltestbed.scenario import Scenario, scenario_from
 
 DIAGNOSIS, EXTENDED = "diagnosis.json", "extended.yaml"
-RADIUS = 0.05  # [m] of the ball that stands for the active mechanism
 LIGHT = 1e-6  # [kg] of the active port, on which the sensor reads the force
 STEPS = 200  # of a contact: its CoR is then right to 1e-3
 # effects on the platform that are those of a servo, by the parameters that they share

@@ -44,9 +44,8 @@ class ContactFigures:
 
     Attributes:
         cor: rebound over approach speed along z of the first contact; None if the ports did not
-            touch, did not separate before the end,
-            or still approach afterwards. cor_normal: the same along the impulse of that contact,
-                whatever its direction, see
+            touch, did not separate before the end, or still approach afterwards.
+        cor_normal: the same along the impulse of that contact, whatever its direction, see
             :func:`along_impulse`; None if they did not touch, or did not separate before the end.
         energy_made: [J] kinetic energy of the relative motion that the first contact added, beyond
             what ticks resolve, see :func:`energy_made`; 0: none.
@@ -69,44 +68,29 @@ class ContactFigures:
 
 
 class Sums(NamedTuple):
-    """Running sums of ``n`` runs, which :func:`_update` adds to.
+    """Running sums of ``n`` runs, which :func:`_update` adds to; a tick is -1 before one."""
 
-    Attributes:
-        tick: [s]. settle: (n,) see :func:`settle_ticks`. wait: (n,) times the contact's duration
-            that is waited for a compensation that still acts.
-        energy, peak_force, peak_error, impulse: (n,) [J, N, m, N s].
-        contact_ticks, contacts, first_tick, last_tick: (n,) int64, of all contacts.
-        speeds: (n, 2, 6) twists of the numerical model before the first contact, and after it.
-        first_impulse: (n, 6) of the wrench that was used in the first contact, about A.
-        later_impulse: (n, 6) of it since the rebound speed was last taken.
-        peak_used: (n, 2) [N] largest force used before that contact and since.
-        quiet: (n,) successive ticks in which the compensation no longer acts.
-        settled: (n,) whether the rebound speed is known.
-        wrench_before, pose_before, twist_before: (n, 6), (n, 7), (n, 6) of the tick before.
-        tracking: (n, 5) sums of v v, v F, F F, e v, e F along z, in contact.
-    """
-
-    tick: float
-    settle: NDArray[np.int64]
-    wait: Array
-    energy: Array
-    peak_force: Array
-    peak_error: Array
-    impulse: Array
-    contact_ticks: NDArray[np.int64]
-    contacts: NDArray[np.int64]
-    first_tick: NDArray[np.int64]
-    last_tick: NDArray[np.int64]
-    speeds: Array
-    first_impulse: Array
-    peak_used: Array
-    later_impulse: Array
-    quiet: NDArray[np.int64]
-    settled: NDArray[np.bool_]
-    wrench_before: Array
-    pose_before: Array
-    twist_before: Array
-    tracking: Array
+    tick: float  # [s]
+    settle: NDArray[np.int64]  # (n,) see :func:`settle_ticks`
+    wait: Array  # (n,) times the contact's duration that is waited for what still acts
+    energy: Array  # (n,) [J]
+    peak_force: Array  # (n,) [N]
+    peak_error: Array  # (n,) [m]
+    impulse: Array  # (n,) [N s]
+    contact_ticks: NDArray[np.int64]  # (n,) of all contacts
+    contacts: NDArray[np.int64]  # (n,)
+    first_tick: NDArray[np.int64]  # (n,)
+    last_tick: NDArray[np.int64]  # (n,)
+    speeds: Array  # (n, 2, 6) twists of the numerical model before the first contact, and after it
+    first_impulse: Array  # (n, 6) of the wrench used in the first contact, about A
+    peak_used: Array  # (n, 2) [N] largest force used before that contact and since
+    later_impulse: Array  # (n, 6) of the wrench since the rebound speed was last taken
+    quiet: NDArray[np.int64]  # (n,) successive ticks in which the compensation no longer acts
+    settled: NDArray[np.bool_]  # (n,) whether the rebound speed is known
+    wrench_before: Array  # (n, 6) of the tick before
+    pose_before: Array  # (n, 7)
+    twist_before: Array  # (n, 6)
+    tracking: Array  # (n, 5) sums of v v, v F, F F, e v, e F along z, in contact
 
 
 class Tally:
@@ -115,8 +99,7 @@ class Tally:
     Attributes:
         energy: ``(n,)`` [J] that the rig has created so far: the work on the physical side, at the
             rig's actual motion, minus the work of the numerical model, the integral of ``F . v_act
-            - F_used . v_cmd``; moments are about A's origin, as is the twist.
-            Positive: active.
+            - F_used . v_cmd``; moments are about A's origin, as is the twist. Positive: active.
         peak_force: ``(n,)`` [N] largest physical contact force so far.
         impulse: ``(n,)`` [N s] of the physical contact force along z so far.
         contacts, first_tick: ``(n,)`` contacts so far, and tick of the first; -1: none.
@@ -125,7 +108,6 @@ class Tally:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n, first = len(scenarios), scenarios[0]
         waits = [0.0 if s.compensation.force.adds_force else LONGEST_WAIT for s in scenarios]
-        contact_ticks, contacts, quiet = (np.zeros(n, dtype=np.int64) for _ in range(3))
         sums = Sums(
             tick=1.0 / first.rate,
             settle=np.array([settle_ticks(s) for s in scenarios], dtype=np.int64),
@@ -134,15 +116,15 @@ class Tally:
             peak_force=np.zeros(n),
             peak_error=np.zeros(n),
             impulse=np.zeros(n),
-            contact_ticks=contact_ticks,
-            contacts=contacts,
+            contact_ticks=np.zeros(n, dtype=np.int64),
+            contacts=np.zeros(n, dtype=np.int64),
             first_tick=np.full(n, -1, dtype=np.int64),
             last_tick=np.full(n, -1, dtype=np.int64),
             speeds=np.full((n, 2, 6), np.nan),
             first_impulse=np.zeros((n, 6)),
             peak_used=np.zeros((n, 2)),
             later_impulse=np.zeros((n, 6)),
-            quiet=quiet,
+            quiet=np.zeros(n, dtype=np.int64),
             settled=np.zeros(n, dtype=bool),
             wrench_before=np.zeros((n, 6)),
             pose_before=np.zeros((n, 7)),

@@ -32,6 +32,7 @@ STEPS = 2000  # of a contact: CoR, stiffness and damping are then right to bette
 PASSES = 6  # of a drop, each with the step for STEPS that the last one showed
 LONGEST = 1_000_000  # steps of a drop, after which it is given up
 GAP = 1e-6  # [m] between the geoms before the drop
+RADIUS = 0.05  # [m] of a ball that meets a plate
 # [m] radius of gyration: the drop is one of masses. A contact 0.1 m off the centre of mass then
 # sees 1e-4 less of them; much larger ratios of inertia to mass spoil the solver's convergence
 GYRATION = 10.0
@@ -109,16 +110,16 @@ def bounce_in_mujoco(
     """A ball's bounce on a plate in steps of ``step`` [s]; None: as small as the contact needs."""
     spec = _bodies(masses)
     first, second = spec.body("a"), spec.body("b")
-    first.add_geom(name="a", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05, 0, 0])
+    first.add_geom(name="a", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS, 0, 0])
     second.add_geom(
         name="b", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5, 0.5, 0.1], pos=[0, 0, -0.1]
     )
     pair = {"geomname1": "a", "geomname2": "b", "condim": 1, "margin": 0.0, "gap": 0.0}
     spec.add_pair(**pair, solref=parameters.solref, solimp=parameters.solimp)
     if step is None:
-        return _dropped(spec, 0.05, masses, speed)
+        return _dropped(spec, RADIUS, masses, speed)
     spec.option.timestep = step
-    return _bounced(spec.compile(), 0.05, masses, speed)
+    return _bounced(spec.compile(), RADIUS, masses, speed)
 
 
 def pair_in_mjcf(

@@ -17,12 +17,11 @@ import math
 from importlib import import_module
 from importlib.util import find_spec
 
+from hiltestbed.analysis.mujoco_contact import GAP, RADIUS
 from hiltestbed.analysis.spring_damper import SpringDamper
 from hiltestbed.errors import MissingExtra
 
-GAP = 1e-6  # [m] between the bodies at the start
 LONGEST = 2.0  # contact times that are simulated, after the touch
-RADIUS = 0.05  # [m] of the ball; the other body is a plate
 
 
 def cor_in_drake(

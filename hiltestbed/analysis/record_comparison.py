@@ -25,7 +25,7 @@ from hiltestbed.config.dataset import Channel, load_dataset
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array
 from hiltestbed.measured.formats import read_columns
-from hiltestbed.measured.values import SAME, signal
+from hiltestbed.measured.values import SAME, in_si, signal
 from hiltestbed.run_folder.store import SUMMARY, read_run
 from hiltestbed.signals import GROUPS
 
@@ -41,8 +41,6 @@ UNSHARP = 1e-3  # [s] of the clocks' offset: the least delay of a force sensor o
 TOUCHES = 0.1  # of the peak force, above which a row counts as in contact
 SMOOTH = 2.0  # samples, standard deviation: leaves 6 % of the variance of white noise at a sample
 FEWEST = 32  # samples in common
-ABOUT = 2.0  # samples about the peak of the correlation, within which tau is sought
-RECENTRED = 100  # times that the search moves on, at most
 
 
 @dataclass(frozen=True)
@@ -236,8 +234,7 @@ def _read(path: Path, channels: Mapping[str, Channel], tick: float | None) -> Re
                     f"--channels DATASET, channels: {{t: {{column: ...}}}}"
                 )
                 raise InputError(Fault(str(path), None, None, "t", what))
-            about = channels.get("t", SAME)
-            t = columns.data[time] * about.scale * _seconds(about.unit) + about.offset
+            t, _ = in_si(0, "t", columns.data[time], "", channels.get("t", SAME))
         values, _ = signal(0, _column(name), column, columns, channels.get(_column(name), SAME), ())
         good = np.isfinite(values) & np.isfinite(t)
         t, order = np.unique(t[good], return_index=True)
@@ -261,12 +258,6 @@ def _ends(record: Record, tick: float | None = None) -> Record:
         if name.startswith("pose_cmd"):
             record[name] = (t + (float(np.median(np.diff(t))) if tick is None else tick), values)
     return record
-
-
-def _seconds(unit: str | None) -> float:
-    from hiltestbed.measured.units import factor
-
-    return factor("t", unit)
 
 
 def _axis(record: Record) -> str:
@@ -325,16 +316,10 @@ def shift_between(t_a: Array, a: Array, t_b: Array, b: Array) -> Shift | None:
         rest = second[seen] - columns @ found
         return float(np.mean(rest**2)), found, columns, rest
 
-    centre, delay = step * lag, np.inf
-    for _ in range(RECENTRED):
-        bounds = (centre - ABOUT * step, centre + ABOUT * step)
-        best: Any = minimize_scalar(
-            lambda d: fitted(d)[0], bounds=bounds, options={"xatol": 1e-5 * step}
-        )
-        delay = float(best.x)
-        if abs(delay - centre) < (ABOUT - 0.5) * step:
-            break
-        centre = delay  # the correlation favours lags at which more of both overlaps
+    # the correlation favours lags at which more of both overlaps: the search may go beyond a sample
+    around = (step * (lag - 0.5), step * (lag + 0.5))
+    best: Any = minimize_scalar(lambda d: fitted(d)[0], bracket=around)
+    delay = float(best.x)
     square, found, columns, rest = fitted(delay)
     if not np.isfinite(square):
         return None

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 
@@ -99,16 +100,7 @@ class SpringDamper:
     def late_cor(self, delay: float) -> float:
         """CoR of a bounce whose force acts ``delay`` [s] late, stepped semi-implicitly."""
         step = self.contact_time / STEPS
-        late = delay / step
-        whole, part = int(late), late - int(late)
-        k, c, m = self.stiffness, self.damping, self.mass
-        x, v, past = 0.0, 1.0, [0.0] * (whole + 2)
-        while x >= 0.0 or any(past[-whole - 2 :]):
-            past.append(max(k * x + c * v, 0.0) if x >= 0.0 else 0.0)
-            force = (1.0 - part) * past[-1 - whole] + part * past[-2 - whole]
-            v -= force / m * step
-            x += v * step
-        return -v
+        return float(_late_rebound(self.stiffness, self.damping, self.mass, step, delay / step))
 
     def stepped_errors(self, step: float) -> Array:
         """``(PHASES,)`` relative errors of the CoR where the contact is stepped by ``step`` [s], of
@@ -140,6 +132,23 @@ class SpringDamper:
             else:
                 low = middle
         return low
+
+
+@njit(cache=True)
+def _late_rebound(k, c, m, step, late):
+    """Rebound speed of a mass that touches with 1 m/s; the force acts ``late`` steps later."""
+    whole = int(late)
+    part = late - whole
+    length = whole + 2
+    past = np.zeros(length)
+    x, v, n = 0.0, 1.0, 0
+    while x >= 0.0 or past.any():
+        past[n % length] = max(k * x + c * v, 0.0) if x >= 0.0 else 0.0
+        force = (1.0 - part) * past[(n - whole) % length] + part * past[(n + 1) % length]
+        v -= force / m * step
+        x += v * step
+        n += 1
+    return -v
 
 
 def _angle_over_root(ratio: float) -> float:

@@ -15,7 +15,7 @@ docking simulator", IEEE Trans. Industrial Electronics 62(10), 2015.
 
 For a contact that can pull, this is the stability criterion. A contact that only pushes begins with
 a force step, in which the rig makes energy whatever the net damping is. It counts as stable if, in
-addition, its bounce (:mod:`hiltestbed.analysis.bounce`) ends slower than it began.
+addition, its bounce (:mod:`hiltestbed.analysis.trial`) ends slower than it began.
 
 The first contact of the approach is also simulated (:mod:`hiltestbed.analysis.trial`), with the dry
 friction of the drives, which no response includes, and with curved surfaces and their friction. Its
@@ -31,13 +31,14 @@ another line, and the full lag of the platform counts until that line is known.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hiltestbed.analysis.assessment import NEUTRAL
 from hiltestbed.analysis.ledger import contact_frequency, corrects_platform, force_path_delay
 from hiltestbed.analysis.rig_response import (
     EXACT,
@@ -48,15 +49,13 @@ from hiltestbed.analysis.rig_response import (
     six_axis_response,
 )
 from hiltestbed.analysis.trial import FirstContact, Rebounds, first_contact
-from hiltestbed.contact.directions import Direction, directions, insertion
+from hiltestbed.contact.directions import Direction, directions
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects import by_link
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import mobility
 from hiltestbed.scenario import Scenario, load_scenario
 
-NEUTRAL = 5e-3  # of the energy of a bounce, as of a run (:mod:`hiltestbed.analysis.assessment`)
-BISECTIONS = 20  # bisection steps in the search for a delay or a stiffness
 LATER = "along the normal of a later touch"
 # range of the search for the stiffness limit: the stiffness times or divided by this
 SEARCH_RANGE = 1e3
@@ -246,17 +245,15 @@ def judge(
     scenario: Scenario,
     response: RigResponse,
     delay: float,
-    compensated: bool = True,
-    way: Direction | None = None,
-    simulated: FirstContact | None = None,
+    compensated: bool,
+    way: Direction,
+    simulated: FirstContact | None,
 ) -> Stability | None:
-    """The stability of a scenario's contact ``way`` (default: the insertion) on a rig with a
-    response, for a force with a ``delay`` [s];
-    None if its frequency was not measured. ``simulated``: simulates the first contact, used if
-    ``way`` is the first contact.
+    """The stability of a scenario's contact ``way`` on a rig with a response, for a force with a
+    ``delay`` [s]; None if its frequency was not measured. ``simulated``: simulates the first
+    contact, used if ``way`` is the first contact.
     """
-    contact = insertion(scenario) if way is None else way
-    fine = response.finer()
+    contact, fine = way, response.finer()
     found = net_damping(fine, contact.mass, contact.stiffness, contact.damping, delay)
     if found is None:
         return None
@@ -321,15 +318,18 @@ def _bears(rebounds: Rebounds, fine: RigResponse, contact: Direction) -> float |
 
     def seek() -> float:
         # a lead that equals the rig's lag: no delay in total
-        low, high = min(0.0, -rebounds.lag), most
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (low + high)
-            low, high = (
-                (middle, high) if rebounds.slower(middle, contact.stiffness) else (low, middle)
-            )
-        return low
+        least = min(0.0, -rebounds.lag)
+        return bisected(least, most, lambda delay: rebounds.slower(delay, contact.stiffness))
 
     return rebounds.settled(seek, lambda delay: (delay, contact.stiffness))
+
+
+def bisected(inside: float, outside: float, holds: Callable[[float], bool | None]) -> float:
+    """The limit up to which something ``holds``, to a millionth of the range."""
+    for _ in range(20):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if holds(middle) else (inside, middle)
+    return inside
 
 
 def net_damping(
@@ -398,10 +398,8 @@ def _largest_stiffness(
                 return None
             if state != stable:
                 inside, outside = (factor, following) if stable else (following, factor)
-                for _ in range(BISECTIONS):
-                    middle = math.sqrt(inside * outside)
-                    inside, outside = (middle, outside) if left(middle) else (inside, middle)
-                return contact.stiffness * inside
+                log = bisected(math.log(inside), math.log(outside), lambda x: left(math.exp(x)))
+                return contact.stiffness * math.exp(log)
             factor = following
         return None
 

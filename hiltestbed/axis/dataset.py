@@ -32,8 +32,8 @@ from hiltestbed.config.dataset import Channel
 from hiltestbed.config.validation import Strictly, validate
 from hiltestbed.config.yaml_source import Source, read_source
 from hiltestbed.errors import Fault, InputError
-from hiltestbed.measured.formats import AnyFormat
-from hiltestbed.measured.formats.ros2 import data_file, no_file
+from hiltestbed.frames import Array
+from hiltestbed.measured.formats import AnyFormat, data_file, no_file
 from hiltestbed.plugins import OneOf, depends
 from hiltestbed.run_folder.folders import is_file
 

@@ -14,8 +14,8 @@ from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array
 from hiltestbed.measured.columns import Columns
 from hiltestbed.measured.formats import AnyFormat, read_columns
-from hiltestbed.measured.outliers import declared
 from hiltestbed.measured.units import UNITS, split_unit, unit_named
+from hiltestbed.measured.values import declared
 
 LEAST_ROWS = 60  # of a run: three times the parameters of the largest hypothesis
 ANGLE = {"rad": 1.0, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from hiltestbed.bench.result import BenchResult
-from hiltestbed.campaign.chunk import run_chunk
+from hiltestbed.campaign.cases import run_chunk
 from hiltestbed.campaign.schema import load_campaign
 from hiltestbed.compiled.state import arrays_of
 from hiltestbed.config.gallery import shipped

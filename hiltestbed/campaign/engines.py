@@ -14,7 +14,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 
-from hiltestbed.campaign.chunk import ChunkResult, run_chunk
+from hiltestbed.campaign.cases import ChunkResult, run_chunk
 from hiltestbed.campaign.schema import LoadedCampaign
 from hiltestbed.errors import HiltestbedError, InputError, MissingExtra
 from hiltestbed.process.workers import Workers

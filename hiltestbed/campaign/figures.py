@@ -1,4 +1,4 @@
-"""Figures of a campaign: the response over two keys, the stability boundary, distributions."""
+"""Figures of a campaign: the response over two keys, the stability boundary."""
 
 from __future__ import annotations
 
@@ -8,16 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.campaign.boundary import applies, margin
-from hiltestbed.campaign.choices import CaseGroup
+from hiltestbed.analysis.spring_damper import SpringDamper
+from hiltestbed.campaign.columns import CaseGroup
 from hiltestbed.campaign.schema import LoadedCampaign, Variation
 from hiltestbed.config.validation import description_of
 from hiltestbed.config.yaml_source import key_path
+from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.report.curves import PALETTE
 from hiltestbed.report.page import new_figure
 from hiltestbed.scenario import Scenario, resolved, scenario_from
+from hiltestbed.sensor.parameters import SensorParameters
 
 HARMLESS = (
     "approach.gap",
@@ -237,7 +240,9 @@ def _boundary(
     the edges.
     """
     others = [key for key in campaign.spec.vary if key not in keys]
-    if not applies(campaign.nominal) or not all(key.startswith(HARMLESS) for key in others):
+    if not boundary_applies(campaign.nominal) or not all(
+        key.startswith(HARMLESS) for key in others
+    ):
         return None
     x, y = (
         (np.geomspace if log else np.linspace)(e[0], e[-1], MESH)
@@ -248,10 +253,34 @@ def _boundary(
         try:
             changed = {keys[0]: float(x[i]), keys[1]: float(y[j])}
             scenario = scenario_from(campaign.source, changed)
-            margins[:, j, i] = margin(scenario) if applies(scenario) else np.nan
-        except (InputError, ValueError):
+            margins[:, j, i] = boundary_margin(scenario) if boundary_applies(scenario) else np.nan
+        except InputError:
             continue
     return (x, y, margins) if np.nanmin(margins) < 0 < np.nanmax(margins) else None
+
+
+def boundary_applies(scenario: Scenario) -> bool:
+    """Whether the closed forms hold: linear contact, pure delay, bare loop, ideal tracking."""
+    sensor = scenario.sensor
+    return (
+        scenario.mechanism.flat
+        and scenario.rig.platform.tracking == "ideal"
+        and scenario.compensation.force.kind == "none"
+        and sensor.lowpass is None
+        and sensor.time_constant is None
+        and not any(scenario.approach.offset)
+        and all(
+            effect.kind in ("sensor.delay", "contact.stiffness", "contact.damping")
+            for effect in scenario.effects
+        )
+    )
+
+
+def boundary_margin(scenario: Scenario) -> tuple[float, float]:
+    """The delay beyond the limits of closed contact and bounce [s]; positive: energy is added."""
+    delay = SensorParameters.believed(scenario.sensor).with_effects(scenario.effects).delay
+    contact = SpringDamper(*acting_along_z(scenario), effective_mass(scenario))
+    return delay - contact.critical_delay, delay - contact.neutral_delay
 
 
 def _draw_boundary(axes: Any, x: Array, y: Array, margins: Array) -> None:
@@ -260,18 +289,3 @@ def _draw_boundary(axes: Any, x: Array, y: Array, margins: Array) -> None:
     ):
         axes.contour(x, y, level, levels=[0.0], colors="black", linestyles=style, linewidths=1.6)
         axes.plot([], [], "k" + style, label=label)
-
-
-def distributions(figures: dict[str, Array]):
-    """Histograms of the named figures, each `(n,)`, the middle 99 % of each."""
-    lines = (len(figures) + 2) // 3
-    picture, axes = new_figure(9.0, 2.6 * lines, nrows=lines, ncols=3, squeeze=False)
-    for axis, (name, values) in zip(axes.flat, figures.items(), strict=False):
-        good = values[np.isfinite(values)]
-        if good.size:
-            low, high = np.quantile(good, [0.005, 0.995])
-            span = (low, high if high > low else low + 1e-9 + abs(low))
-            axis.hist(good, bins=40, range=span, color="#0b6e99")
-        axis.set(xlabel=with_unit(name), yticks=[])
-    _hide(axes, len(figures))
-    return picture

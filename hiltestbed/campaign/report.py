@@ -11,14 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.campaign.choices import CaseGroup, choices_of, in_words, results
-from hiltestbed.campaign.columns import is_numeric
+from hiltestbed.campaign.columns import CaseGroup, choices_of, in_words, is_numeric, results
 from hiltestbed.campaign.schema import FIGURES, LoadedCampaign, Variation
 from hiltestbed.campaign.sensitivity import Sensitivity, explained_share, sensitivity
 from hiltestbed.frames import Array
 from hiltestbed.report.page import Report
-from hiltestbed.run_folder.folders import parquet_table
-from hiltestbed.run_folder.notebook import number
+from hiltestbed.run_folder.folders import number, parquet_table
 
 REPORT = "report.html"
 WORST = 10
@@ -93,7 +91,6 @@ def write_report(folder: Path, campaign: LoadedCampaign) -> None:
     strongest = _strongest(cases, found[cases.response])
     _maps(report, cases, order, strongest)
     _marginals(report, cases, order, strongest)
-    _distributions(report, cases)
     _sensitivities(report, list(cases.inputs), found)
     _worst(report, cases, folder)
     partial = folder / f"{REPORT}.partial"
@@ -227,16 +224,6 @@ def _marginals(
     if len(shown) < len(choices):
         words += f" The best {len(shown)} of {len(choices)} choices."
     report.figure(picture, words)
-
-
-def _distributions(report: Report, cases: Cases) -> None:
-    from hiltestbed.campaign.figures import distributions
-
-    finite = {name: figure[np.isfinite(figure)] for name, figure in cases.figures.items()}
-    spread = {name: figure for name, figure in finite.items() if figure.size and np.ptp(figure)}
-    if spread:
-        report.heading("Distributions")
-        report.figure(distributions(spread), "Middle 99 % of the cases that have the figure.")
 
 
 def _sensitivities(

@@ -24,7 +24,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from hiltestbed.campaign.chunk import ChunkResult
+from hiltestbed.campaign.cases import ChunkResult
 from hiltestbed.campaign.columns import schema, table
 from hiltestbed.campaign.schema import LoadedCampaign
 from hiltestbed.config.validation import UserFile, user_files

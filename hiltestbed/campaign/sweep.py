@@ -17,17 +17,14 @@ from hiltestbed.campaign import engines
 from hiltestbed.campaign.cases import case_values, structural_keys
 from hiltestbed.campaign.schema import LoadedCampaign, load_campaign
 from hiltestbed.campaign.store import CASES, Store, read_about, refuse_another
-from hiltestbed.config.validation import nearest
 from hiltestbed.config.yaml_source import key_path
 from hiltestbed.errors import InputError, MissingExtra
-from hiltestbed.report.curves import PALETTE
-from hiltestbed.run_folder.folders import parquet_table, safe_name
-from hiltestbed.run_folder.notebook import html_table
+from hiltestbed.run_folder.folders import html_table, parquet_table, safe_name
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.scenario.idle import idle_keys
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    pass
 
 CHUNK = 64
 CHUNK_LIMIT = 1024
@@ -64,38 +61,6 @@ class Sweep:
         except ImportError:
             raise MissingExtra("to_pandas()", "pandas") from None
         return self.cases().to_pandas()
-
-    def plot(self, x: str, y: str, color: str | None = None, axes: Axes | None = None) -> Axes:
-        """One point per case over two columns of cases.parquet, coloured by a third; returns the
-        Matplotlib axes.
-
-        Raises InputError for an unknown column.
-        """
-        table = self.cases()
-        for name in filter(None, (x, y, color)):
-            if name not in table.column_names:
-                raise InputError(
-                    f"plot: no column {name!r}{nearest(name, table.column_names)}; see "
-                    f"cases().column_names"
-                )
-        if axes is None:
-            import matplotlib.pyplot as plt
-
-            axes = plt.subplots(layout="constrained")[1]
-        values = None if color is None else table[color].to_pylist()
-        if values is not None and isinstance(values[0], str):
-            for i, value in enumerate(dict.fromkeys(values)):
-                mine = [j for j, other in enumerate(values) if other == value]
-                places, color_of = [table[c].take(mine) for c in (x, y)], PALETTE[i % len(PALETTE)]
-                axes.plot(*places, "o", color=color_of, markersize=3.5, label=value)
-            axes.legend(fontsize=8)
-        else:
-            shade = values if values is not None else PALETTE[0]
-            drawn = axes.scatter(table[x], table[y], c=shade, s=12, cmap="cividis")
-            if values is not None:
-                axes.figure.colorbar(drawn, ax=axes, label=color)
-        axes.set(xlabel=x, ylabel=y)
-        return axes
 
     def cases(self):
         """cases.parquet as a pyarrow table, one row a case in case order."""

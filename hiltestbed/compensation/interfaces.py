@@ -9,7 +9,11 @@ another way (by a delayed model and a predictor) is a drive itself.
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
 
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.frames import Array
@@ -24,6 +28,26 @@ class ForceBlock(Protocol):
     def compensate(self, measurement: Measurement) -> Array:
         """``(n, 6)`` the wrench that drives the numerical model."""
         ...
+
+
+class KernelBlock:
+    """A :class:`ForceBlock` that is one kernel, called with some readings, what is ``given``, and
+    the output.
+    """
+
+    def __init__(self, kernel: Callable[..., None], readings: Sequence[str], *given: Any) -> None:
+        """``readings``: names in a :class:`Measurement`. given: the first has a row for each run,
+        and all that change are the state.
+        """
+        self._kernel = partial(kernel)  # no part of the state, in which arrays are sought
+        self._readings, self._given = readings, given
+        self._output = np.zeros((len(given[0]), 6))
+
+    def compensate(self, measurement: Measurement) -> Array:
+        """``(n, 6)`` the wrench that drives the numerical model."""
+        readings = (getattr(measurement, name) for name in self._readings)
+        self._kernel(*readings, *self._given, self._output)
+        return self._output
 
 
 @runtime_checkable

@@ -19,8 +19,7 @@ from pydantic import Field
 from hiltestbed.config.validation import Strictly, validate
 from hiltestbed.config.yaml_source import KeyPath, Source, read_source, referenced_source
 from hiltestbed.errors import Fault, InputError
-from hiltestbed.measured.formats import AnyFormat
-from hiltestbed.measured.formats.ros2 import data_file, no_file
+from hiltestbed.measured.formats import AnyFormat, data_file, no_file
 from hiltestbed.plugins import depends
 from hiltestbed.run_folder.folders import is_file
 from hiltestbed.scenario import Scenario, scenario_from

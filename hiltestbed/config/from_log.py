@@ -21,8 +21,7 @@ from hiltestbed.config.template import free_file, template
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.measured.columns import STAMP, Columns
-from hiltestbed.measured.formats import read_columns
-from hiltestbed.measured.formats.ros2 import data_file, no_file
+from hiltestbed.measured.formats import data_file, no_file, read_columns
 from hiltestbed.measured.roles import (
     COMPENSATED,
     PUSHES,

@@ -16,7 +16,7 @@ EFFECTS: Registry[Effect] = Registry(
         "hiltestbed.contact.effects",
         "hiltestbed.platform.effects",
         "hiltestbed.numerical_model.effects",
-        "hiltestbed.compensation.effects",
+        "hiltestbed.compensation.input",
         "hiltestbed.effects.log",
     ),
 )

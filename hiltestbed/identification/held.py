@@ -101,14 +101,12 @@ class HeldPlace:
         )
         self._update = Call(_update, GIVEN, GIVEN, GIVEN, latches, now)
 
-    def update(self, pose: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]) -> None:
-        """Process pose ``(n, 7)``, whether captured, and phases begun ``(n,)``; once per tick."""
-        self.updating(pose, captured, steps)()
-
     def updating(
         self, pose: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]
     ) -> Callable[[], None]:
-        """:meth:`update` bound to arrays that are reused at every tick."""
+        """A call, once per tick, bound to pose ``(n, 7)``, whether captured, and phases begun
+        ``(n,)``, which are reused at every tick.
+        """
         return self._update.on(pose, captured, steps)
 
 

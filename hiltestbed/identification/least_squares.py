@@ -9,14 +9,51 @@ sums of products are updated, and the estimate is solved from them. It is the us
 limit P0 to infinity, so that no P0 biases the estimate.
 
 A latch that alone carries an axis is a spring and damper there; if a joint away from its reference
-point couples two axes, the partner axis enters as additional regressors
-(:mod:`hiltestbed.identification.coupled`). Where joints, stops or surfaces with friction share the
-load, the residual of k and c exceeds the sensor's noise, and no estimate is given. Nor is one given
-where a latched axis hardly moves.
+point couples two axes, the partner axis enters as additional regressors, as derived below. Where
+joints, stops or surfaces with friction share the load, the residual of k and c exceeds the sensor's
+noise, and no estimate is given. Nor is one given where a latched axis hardly moves.
 
 The methods for comparison use other samples: the raw force with the pose of the same tick, or the
 force after the phase lead (the usual method in the literature), for which a delay acts as a damping
 ``-k tau`` that biases c.
+
+**Coupled axes** of a captured pair. A ball joint of stiffness K at a distance L along the axis from
+the reference point resists translation there, and so couples translation along x with rotation
+about y by K L, and y with rx by -K L. Where both move, ``F = k x + c v + b`` has to explain the
+coupled force by x and v alone, and since the two motions are correlated the coupling biases k and
+c. The regression of such an axis then includes the partner axis's displacement x' and rate v', ``F
+= k x + c v + k' x' + c' v' + b``.
+
+With A, B, D the sums of products about the means of (x, v) with themselves, with (x', v'), and of
+(x', v') with themselves, and a, d those of the force with either, the two own regressors give t =
+A^-1 a. The contribution of the partner's two follows by block elimination,
+
+    S = D - B^T A^-1 B,   g = S^-1 (d - B^T t),   (k, c) = t - A^-1 B g,   drop = (d - B^T t) . g
+
+with S the sums of products of the part of their motion that is not correlated with the axis's own,
+g their coefficients, and drop the reduction of the residual sum of squares; cov(k, c) = s^2 (A^-1 +
+A^-1 B S^-1 B^T A^-1) (G. A. F. Seber, A. J. Lee, Linear Regression Analysis, 2nd ed. 2003, sections
+3.7 and 3.11).
+
+**When they are included.** Three tests against the sensor noise, of variance s^2:
+
+- Do they explain anything? Without coupling drop/s^2 is chi-square with 2 degrees of freedom,
+  P(drop > D) = exp(-D/(2 s^2)). The test is repeated with every sample: at drop > 4 s^2 ln n the
+  false-positive rate is 1/n^2, which sums to 0.13 from the eighth sample on, however long the
+  record. Any coupling is found eventually, since drop grows with n.
+- Do they explain everything? If only springs and dampers act, the residual sum of squares over s^2
+  is chi-square with m = n - 5 degrees of freedom, which exceeds m + 2 sqrt(m ln n) + 2 ln n with
+  probability below 1/n (B. Laurent, P. Massart, Annals of Statistics 28, 2000, lemma 1). Above
+  that, friction or stops act, which four regressors would fit no more truly than two: the partner
+  is not included.
+- What may the noise hide? With the same probability chi-square lies below m - 2 sqrt(m ln n), so 2
+  s^2 sqrt(m ln n) is added to the residual sum of squares when the estimate is judged: few samples
+  cannot prove the absence of friction.
+
+So the partner is never included where the noise of the force is unknown or zero. If its motion is
+fully correlated with the axis's own, it explains nothing, whatever the coupling; within rounding (S
+below 1e-10 of D, as for the axis's own two regressors) it is excluded before the division. The
+standard deviations cover the noise, not what may be hidden in it.
 """
 
 from __future__ import annotations
@@ -32,13 +69,6 @@ from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-from hiltestbed.identification.coupled import (
-    PAIRS,
-    PARTNERS,
-    PRODUCTS,
-    accumulate_pairs,
-    take_in_partner,
-)
 from hiltestbed.identification.samples import NORMAL, ContactSamples
 
 MINIMUM_SAMPLES = 8
@@ -49,6 +79,13 @@ MINIMUM_TRAVEL = 1e-6  # [m, rad] standard deviation of x below which an axis is
 # fraction of the force's variance that k x + c v must explain; below it no estimate is given
 EXPLAINED = 0.9
 SUMS = 10  # n, x, v, y, xx, xv, vv, xy, vy, yy
+PAIRS = 2  # x with ry, y with rx
+# of each axis; none of z and rz, which lie along the axis of a mechanism
+PARTNERS = np.array([4, 3, -1, 1, 0, -1])
+PRODUCTS = 8  # of each pair, a before b: xa xb, xa vb, va xb, va vb, xb ya, vb ya, xa yb, va yb
+# fraction of a regressor's sum of squares left by the other regressors, below which it is linearly
+# dependent on them
+ROUNDING = 1e-10
 
 
 class _Sums(NamedTuple):
@@ -147,14 +184,15 @@ def _accumulate(samples, forgetting, captured, s):
         for j in range(7):
             if not (ready[i] if j < NORMAL else ready_normal[i]):
                 continue
-            _add(sums[i, j], sample[i, j], forgetting[i])
+            accumulate(sums[i, j], sample[i, j], forgetting[i])
             used[i, j] += 1.0
         if ready[i] and captured[i]:
             accumulate_pairs(sample[i], forgetting[i], products[i])
 
 
 @njit(cache=True)
-def _add(s, sample, forgetting):
+def accumulate(s, sample, forgetting):
+    """Add a ``sample`` (4,) of x, v, 1 and y to its sums ``s`` (SUMS,)."""
     x, v, one, y = sample
     for c in range(SUMS):
         s[c] *= forgetting
@@ -181,21 +219,6 @@ def _variance(j, place, noise):
 
 
 @njit(cache=True)
-def _about_means(sums):
-    """Number of samples, and sums of x x, x v, v v, x y, v y, y y about the means."""
-    n, x, v, y, xx, xv, vv, xy, vy, yy = sums
-    return (
-        n,
-        xx - x * x / n,
-        xv - x * v / n,
-        vv - v * v / n,
-        xy - x * y / n,
-        vy - v * y / n,
-        yy - y * y / n,
-    )
-
-
-@njit(cache=True)
 def _fit(sums, out):
     """Write k, c and their standard deviations to ``out`` (4,), which is unchanged if the axis has
     not moved.
@@ -204,7 +227,7 @@ def _fit(sums, out):
     """
     if sums[0] < MINIMUM_SAMPLES:
         return 0.0, 0.0
-    n, xx, xv, vv, xy, vy, total = _about_means(sums)
+    n, xx, xv, vv, xy, vy, total = about_means(sums)
     det = xx * vv - xv * xv
     if xx < n * MINIMUM_TRAVEL**2 or det <= 1e-10 * xx * vv:
         return 0.0, 0.0
@@ -240,3 +263,105 @@ def _solve(samples, captured, noise, s):
                 accepted &= rest - sums[i, j, 0] * variance <= HELD_REST * (total - rest)
             for q in range(4):
                 found[q, i, j] = out[q] if accepted else np.nan
+
+
+@njit(cache=True)
+def about_means(sums):
+    """Number of samples, and sums of x x, x v, v v, x y, v y, y y about the means."""
+    n, x, v, y, xx, xv, vv, xy, vy, yy = sums
+    return (
+        n,
+        xx - x * x / n,
+        xv - x * v / n,
+        vv - v * v / n,
+        xy - x * y / n,
+        vy - v * y / n,
+        yy - y * y / n,
+    )
+
+
+@njit(cache=True)
+def accumulate_pairs(sample, forgetting, products):
+    """Add a ``sample`` (7, 4) of a captured pair to its ``products`` (PAIRS, PRODUCTS)."""
+    for j in range(PAIRS):
+        s, p = products[j], PARTNERS[j]
+        xa, va, ya = sample[j, 0], sample[j, 1], sample[j, 3]
+        xb, vb, yb = sample[p, 0], sample[p, 1], sample[p, 3]
+        for c in range(PRODUCTS):
+            s[c] *= forgetting
+        s[0] += xa * xb
+        s[1] += xa * vb
+        s[2] += va * xb
+        s[3] += va * vb
+        s[4] += xb * ya
+        s[5] += vb * ya
+        s[6] += xa * yb
+        s[7] += va * yb
+
+
+@njit(cache=True)
+def _across(j, products, own, other):
+    """Sums of products about the means, of axis ``j`` with its partner: x x', x v', v x', v v', x'
+    y, v' y; ``own``, ``other``: the sums of both axes.
+    """
+    n = own[0]
+    first = j < PAIRS
+    s = products[j if first else PARTNERS[j]]
+    xx, vv = s[0], s[3]
+    xv, vx, xy, vy = (s[1], s[2], s[4], s[5]) if first else (s[2], s[1], s[6], s[7])
+    x, v, y, p, q = own[1], own[2], own[3], other[1], other[2]
+    return (
+        xx - x * p / n,
+        xv - x * q / n,
+        vx - v * p / n,
+        vv - v * q / n,
+        xy - p * y / n,
+        vy - q * y / n,
+    )
+
+
+@njit(cache=True)
+def take_in_partner(j, products, own, other, variance, rest, out):
+    """Write to ``out`` (4,) k, c and their standard deviations from the fit with the partner of
+    axis ``j``, if it is to be included.
+
+    Args:
+        products: (PAIRS, PRODUCTS) of the pairs. own, other: sums of the axis and of its partner,
+            as for the two regressors.
+        variance: of the sensor noise. rest: residual sum of squares of k and c in ``out``.
+
+    Returns:
+        Whether the partner is included; an upper bound of the residual sum of squares then.
+    """
+    n, a11, a12, a22, _, _, _ = about_means(own)
+    m = n - 5.0
+    if m < 1.0:
+        return False, rest
+    _, d11, d12, d22, _, _, _ = about_means(other)
+    b11, b12, b21, b22, e1, e2 = _across(j, products, own, other)
+    det = a11 * a22 - a12 * a12
+    w11, w12 = (a22 * b11 - a12 * b21) / det, (a22 * b12 - a12 * b22) / det  # W = A^-1 B
+    w21, w22 = (a11 * b21 - a12 * b11) / det, (a11 * b22 - a12 * b12) / det
+    s11, s22 = d11 - b11 * w11 - b21 * w21, d22 - b12 * w12 - b22 * w22
+    s12 = d12 - b11 * w12 - b21 * w22
+    own_det = s11 * s22 - s12 * s12
+    if s11 <= ROUNDING * d11 or s22 <= ROUNDING * d22 or own_det <= ROUNDING * s11 * s22:
+        return False, rest
+    k, c = out[0], out[1]
+    e1, e2 = e1 - b11 * k - b21 * c, e2 - b12 * k - b22 * c
+    g1, g2 = (s22 * e1 - s12 * e2) / own_det, (s11 * e2 - s12 * e1) / own_det
+    drop = e1 * g1 + e2 * g2
+    surely = math.log(n)
+    if drop <= 4.0 * variance * surely or rest - drop > variance * (
+        m + 2.0 * math.sqrt(m * surely) + 2.0 * surely
+    ):
+        return False, rest
+    left = max(0.0, rest - drop) / m
+    out[0], out[1] = k - w11 * g1 - w12 * g2, c - w21 * g1 - w22 * g2
+    out[2] = math.sqrt(
+        left * (a22 / det + (w11 * w11 * s22 - 2.0 * w11 * w12 * s12 + w12 * w12 * s11) / own_det)
+    )
+    out[3] = math.sqrt(
+        left * (a11 / det + (w21 * w21 * s22 - 2.0 * w21 * w22 * s12 + w22 * w22 * s11) / own_det)
+    )
+    return True, rest - drop + 2.0 * variance * math.sqrt(m * surely)

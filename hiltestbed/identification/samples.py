@@ -143,8 +143,8 @@ class ContactSamples:
         if lead:
             spent = np.array([s.sensor.delay for s in scenarios]) + FILTER_MEMORY * np.array(lead)
         margin = 1 + np.ceil(spent / h - 1e-9).astype(np.int64)
-        self._longest = self.delay.max() + SPARE * estimate
-        length = 2 + int(math.ceil(self._longest / h))
+        longest = float(self.delay.max() + SPARE * estimate)
+        length = 2 + int(math.ceil(longest / h))
         sides = sides_of(first.mechanism)
         given = _Given(
             h,
@@ -183,6 +183,7 @@ class ContactSamples:
         self._remembered = Call(_remember, ..., GIVEN, GIVEN, held.lever, held.reference, past)
         self._met = Call(_meet, ..., sides.geometry, GIVEN, GIVEN, past, self.at_once)
         self._gate = Call(_gate, GIVEN, GIVEN, self.delay, given, past)
+        self._delayed = Call(_find_delay, ..., h, longest, GIVEN, past, self.delay, self._onset)
         latch = (held.origin, held.changes, held.since)
         self._sampled = Call(
             _sample_and_choose, ..., GIVEN, GIVEN, self.delay, given, past, latch, self.found
@@ -193,37 +194,27 @@ class ContactSamples:
         ``led``: the wrench after the lead.
         """
         k = int(self._clock[0])
-        if led is None and not self._estimate:
-            self._taken.on(wrench, pose, twist, self.captured, self.steps)(k)
-            self._clock[0] = k + 1
-            return
-        self.held.update(pose, self.captured, self.steps)
-        self._remembered.on(pose, twist)(k)
-        if self._known:
-            self._met.on(pose, twist)(k)
-        self._gate.on(wrench, self.captured)()
-        if self._estimate:
-            _find_delay(k, self.tick, self._longest, wrench, self._past, self.delay, self._onset)
-        self._sampled.on(wrench if led is None else led, self.captured)(k)
+        force = wrench if led is None else led
+        self._taken.on(wrench, force, pose, twist, self.captured, self.steps)(k)
         self._clock[0] = k + 1
 
     def _taking(
         self,
         wrench: Array,
+        force: Array,
         pose: Array,
         twist: Array,
         captured: NDArray[np.bool_],
         steps: NDArray[np.int64],
     ) -> list[Callable[..., None]]:
-        """The calls of :meth:`take` for a known delay and no lead."""
-        met = [self._met.on(pose, twist)] if self._known else []
-        held, gate = self.held.updating(pose, captured, steps), self._gate.on(wrench, captured)
+        """The calls of :meth:`take`; ``force``: the wrench, or that after the lead."""
         return [
-            held,
+            self.held.updating(pose, captured, steps),
             self._remembered.on(pose, twist),
-            *met,
-            gate,
-            self._sampled.on(wrench, captured),
+            *([self._met.on(pose, twist)] if self._known else ()),
+            self._gate.on(wrench, captured),
+            *([self._delayed.on(wrench)] if self._estimate else ()),
+            self._sampled.on(force, captured),
         ]
 
     def delay_sd(self, stiffness: Array) -> Array:

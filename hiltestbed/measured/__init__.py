@@ -32,20 +32,17 @@ if TYPE_CHECKING:
     from hiltestbed.measured.load import (
         MeasuredDataset,
         MeasuredRun,
+        Record,
+        Remark,
+        Survey,
         as_faults,
         examine,
         load_dataset,
     )
-    from hiltestbed.measured.noise import Noise
-    from hiltestbed.measured.record import Record
-    from hiltestbed.measured.remark import Remark
-    from hiltestbed.measured.survey import ContactSpan, Survey
 
 __all__ = [
-    "ContactSpan",
     "MeasuredDataset",
     "MeasuredRun",
-    "Noise",
     "Record",
     "Remark",
     "Survey",
@@ -54,22 +51,9 @@ __all__ = [
     "load_dataset",
 ]
 
-# all others: load
-_HOME = {
-    "ContactSpan": "survey",
-    "Noise": "noise",
-    "Record": "record",
-    "Remark": "remark",
-    "Survey": "survey",
-}
-
 
 def __getattr__(name: str) -> Any:
     """Imports on first access: the process of a reader, which needs none, starts faster."""
     if name in __all__:
-        return getattr(import_module(f"hiltestbed.measured.{_HOME.get(name, 'load')}"), name)
+        return getattr(import_module("hiltestbed.measured.load"), name)
     raise AttributeError(f"module 'hiltestbed.measured' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return __all__

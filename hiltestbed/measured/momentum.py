@@ -7,19 +7,22 @@ The bodies float freely, so the relative motion of the ports follows from the wr
     L = the sum over both bodies of their inverse inertia seen at the port
 
 s is 1 if the units of mass, force and length are consistent, whatever contact, sensor and
-compensation do. A force in pounds makes it
-4.448, a reversed sign -1, and exchanged axes leave motion that no s explains.
+compensation do. A force in pounds makes it 4.448, a reversed sign -1, and exchanged axes leave
+motion that no s explains.
 
 The bodies move by the compensated force, and the sensor's record is late against it. Delay, filters
-and leads keep the impulse, but the
-double integral D of the record is another: D(t - T) + b L W to second order, with a shift T and a
-spread b. s is fitted together with both.
+and leads keep the impulse, but the double integral D of the record is another: D(t - T) + b L W to
+second order, with a shift T and a spread b. s is fitted together with both.
+
+This checks unit, sign and axes of force and pose.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import permutations, product
 from typing import NamedTuple
 
@@ -28,6 +31,9 @@ import numpy as np
 from hiltestbed.frames import Array, quat_from_attitude_deg, rotation_matrix
 from hiltestbed.measured.noise import MAD_TO_SIGMA, THIRD_DIFFERENCE
 from hiltestbed.measured.record import Record
+from hiltestbed.measured.remark import Remark, error
+from hiltestbed.measured.start import AGREE, Start, factor_text, likely_scale, scale_fix, start_of
+from hiltestbed.measured.survey import Survey
 from hiltestbed.numerical_model.bodies import inertia_matrix, port_pose
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
@@ -45,6 +51,15 @@ SETTLED = 1e-3  # of a tick
 # least part of L W that differs from the motion and its rate; of an oscillation L W is proportional
 # to D, and b stays 0
 APART = 0.1
+# factor from 1 that no effect causes: the largest over the independent rig's effects is 1.25
+SCALE = 2.2
+# part of the motion that a force with its axes as given must explain; otherwise other orders of
+# axes are tried
+EXPLAINED = 0.85
+# largest remainder with another order, as part of that in the given order; the least over the rig's
+# hidden effects is 0.29
+REMAINDER = 0.1
+AXIS_REVERSED = -0.5  # of the common scale: below it the sign of one axis is reversed
 
 
 @dataclass(frozen=True)
@@ -120,15 +135,14 @@ class _Fit(NamedTuple):
 
 @dataclass(frozen=True)
 class _Parts:
-    """Inner products of the motions that each column of the force causes on each axis, for the fit
-    of every order and sign of the axes.
+    """The motions that each column of the force causes on each axis, for the fit of every order and
+    sign of the axes.
 
     Attributes:
         t: (rows,) [s]. driven: (10, 3, rows) motion by column j acting along axis i, at 3 i + j; by
             the torques last.
-        motion: (3, rows) that was logged, without its linear trend.
-        seen: driven without its linear trend. gram: (10, 10) inner products of seen with each
-            other; shown: (10,) with the motion.
+        motion: (3, rows) that was logged, without its linear trend. seen: driven without its own.
+        gram: (10, 10) inner products of seen with each other; shown: (10,) with the motion.
         square: inner product of the motion with itself.
     """
 
@@ -136,23 +150,26 @@ class _Parts:
     driven: Array
     motion: Array
     seen: Array
-    gram: Array
-    shown: Array
-    square: float
 
     @classmethod
     def of(cls, t: Array, response: Array, wrench: Array, motion: Array, tick: float) -> _Parts:
         doubled = _twice(t, wrench, tick)
         along = [response[:, i, None] * doubled[j] for i in range(3) for j in range(3)]
         driven = np.stack([*along, response[:, 3:] @ doubled[3:]])
-        return cls._seen(t, driven, driven, motion)
+        return cls(t, driven, motion, _without_lines(t, driven))
 
-    @classmethod
-    def _seen(cls, t: Array, driven: Array, shifted: Array, motion: Array) -> _Parts:
-        seen = np.stack([_without_line(t, part) for part in shifted])
-        flat = seen.reshape(10, -1)
-        square = float(np.sum(motion**2))
-        return cls(t, driven, motion, seen, flat @ flat.T, flat @ motion.reshape(-1), square)
+    @cached_property
+    def gram(self) -> Array:
+        flat = self.seen.reshape(10, -1)
+        return flat @ flat.T
+
+    @cached_property
+    def shown(self) -> Array:
+        return self.seen.reshape(10, -1) @ self.motion.reshape(-1)
+
+    @cached_property
+    def square(self) -> float:
+        return float(np.sum(self.motion**2))
 
     def aligned(self, tick: float) -> tuple[float, _Parts]:
         """T [s], and the parts without shift and spread; unchanged if no T up to LATEST is found
@@ -165,7 +182,8 @@ class _Parts:
                 break
             late += moved
             shifted = _shifted(self.t, self.driven, late)
-            parts = self._seen(self.t, self.driven, shifted, self.motion - spread)
+            seen = _without_lines(self.t, shifted)
+            parts = _Parts(self.t, self.driven, self.motion - spread, seen)
             if abs(moved) < SETTLED * tick:
                 return late, parts
         return 0.0, self
@@ -271,6 +289,10 @@ def _without_line(t: Array, values: Array) -> Array:
     return values - (values @ basis.T) @ basis
 
 
+def _without_lines(t: Array, driven: Array) -> Array:
+    return np.stack([_without_line(t, part) for part in driven])
+
+
 def _shifted(t: Array, driven: Array, late: float) -> Array:
     """``driven`` ``(10, 3, rows)`` as much earlier; without force before and after the rows."""
     at = t + late
@@ -283,3 +305,100 @@ def _roughness(values: Array) -> float:
     """1 sigma of the difference from sample to sample."""
     third = np.abs(np.diff(values, 3))
     return MAD_TO_SIGMA * float(np.median(third)) / THIRD_DIFFERENCE if len(third) else 0.0
+
+
+def balances(record: Record, scenario: Scenario) -> dict[str, Momentum]:
+    """The momentum balance of each force (by its group) with the pose, where it can be evaluated.
+
+    The commanded pose follows from wrench_comp by the law of the numerical model. Without
+    wrench_comp, or with a reached pose only, the force must have moved the bodies: assumed if they
+    approach with the scenario's speed, but not for a driven machine.
+    """
+    pose = "pose_cmd" if record.has("pose_cmd") else "pose_act"
+    modelled = record.has("wrench_comp") and pose == "pose_cmd"
+    if not (modelled or any(scenario.approach.velocity)):
+        return {}
+    forces = (f for f in ("wrench_comp", "wrench_meas") if record.has(f))
+    found = {force: momentum(record, scenario, force, pose) for force in forces}
+    return {force: pair for force, pair in found.items() if pair is not None}
+
+
+def imbalances(
+    record: Record, found: Survey, scenario: Scenario, pairs: dict[str, Momentum]
+) -> Iterator[Remark]:
+    """Errors for a force that cannot have caused the recorded motion."""
+    for pair in pairs.values():
+        left, left_in_order = 1.0 - pair.explained, 1.0 - pair.explained_in_order
+        otherwise = pair.explained < EXPLAINED and left_in_order < REMAINDER * left
+        if otherwise and pair.order != FORCES:
+            yield _exchanged(record, pair)
+        elif otherwise and -1 in pair.signs:
+            yield from _turned(record, pair)
+        elif pair.explained > EXPLAINED:
+            yield from _scaled(record, found, scenario, pair)
+
+
+def _seen(pair: Momentum, change: str) -> str:
+    return (
+        f"does not explain the motion of {pair.pose} ({100 * max(pair.explained, 0.0):.0f} % of "
+        f"it); {change} it explains {100 * pair.explained_in_order:.0f} %"
+    )
+
+
+def _exchanged(record: Record, pair: Momentum) -> Remark:
+    moved = [(given, f) for given, f in zip(FORCES, pair.order, strict=True) if given != f]
+    text = _seen(pair, "with its axes exchanged")
+    taken = ", ".join(f"{pair.force}.{a} takes the column of {pair.force}.{b}" for a, b in moved)
+    fix = f"exchange the columns under channels: {taken}"
+    name = f"{pair.force}.{moved[-1][0]}"
+    return error("axes", record.run, name, f"{text}: the axes are swapped", fix)
+
+
+def _turned(record: Record, pair: Momentum) -> Iterator[Remark]:
+    text = f"{_seen(pair, 'with this axis reversed')}: the sign is reversed"
+    for part, sign in zip(FORCES, pair.signs, strict=True):
+        name = f"{pair.force}.{part}"
+        if sign < 0:
+            yield error("sign", record.run, name, text, scale_fix(name, -1.0))
+
+
+def _scaled(record: Record, found: Survey, scenario: Scenario, pair: Momentum) -> Iterator[Remark]:
+    start = start_of(record, found, scenario, f"{pair.pose}.pz")
+    at_fault, scale, size = _pose_at_fault(pair, start), pair.scale, abs(pair.scale)
+    # the columns of the force that clearly move the pose; at least z
+    moving = [f"{pair.force}.f{axis}" for axis in dict.fromkeys(("z", *pair.axes))]
+    if not at_fault and scale < 0:
+        text = (
+            f"pulls while pushing: the motion of {pair.pose} is {scale:.3g} times what "
+            f"it causes; the sign is reversed"
+        )
+        for name in moving:
+            yield error("sign", record.run, name, text, scale_fix(name, -1.0))
+    for axis, s in pair.axes.items():
+        # beyond -SCALE the motion has another cause than this force
+        if scale > 0 and -SCALE * scale < s < AXIS_REVERSED * scale:
+            name = f"{pair.force}.f{axis}"
+            text = (
+                f"pushes {pair.pose}.p{axis} the wrong way ({s:.3g} times what it "
+                f"causes, all axes {scale:.3g}): its sign is reversed"
+            )
+            yield error("sign", record.run, name, text, scale_fix(name, -1.0))
+    if 1 / SCALE < size < SCALE or at_fault:
+        return
+    text = (
+        f"mass times the change of velocity in {pair.pose} is {size:.4g} times the "
+        f"impulse of the force: {factor_text(1.0 / size, 'N')}"
+    )
+    for name in moving:
+        fix = scale_fix(name, likely_scale(1.0 / size, "N"))
+        yield error("unit", record.run, name, text, fix)
+
+
+def _pose_at_fault(pair: Momentum, start: Start | None) -> bool:
+    """Whether the start of the pose shows the same factor or sign: then its unit is wrong."""
+    if start is None or not start.ratios:
+        return False
+    off = start.unit if start.unit is not None else 1.0
+    apart = abs(math.log(off) - math.log(max(abs(pair.scale), 1e-300)))
+    same_size = off != 1.0 and apart < math.log(AGREE) * 2
+    return same_size or (pair.scale < 0 and start.reversed)

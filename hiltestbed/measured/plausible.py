@@ -15,8 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hiltestbed.frames import Array, quat_from_attitude_deg
-from hiltestbed.measured.balance import balances, imbalances
-from hiltestbed.measured.momentum import centred
+from hiltestbed.measured.momentum import balances, centred, imbalances
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark, error, note
 from hiltestbed.measured.sameness import copies_and_constants
@@ -102,11 +101,11 @@ def _attitudes(record: Record, scenario: Scenario) -> Iterator[Remark]:
                 f"is {QUAT_NORM:g}"
             )
             fix = "check scale and columns of qx, qy, qz, qw"
-            yield error("attitude", record.run, name, text, fix, length_error=off)
+            yield error("attitude", record.run, name, text, fix)
             continue
         if off > QUAT_NORM_NOTE:
             text = f"has a length that is off by up to {off:.3g}; it is used as it is"
-            yield note(record.run, name, text, length_error=off)
+            yield note(record.run, name, text)
         yield from _order(record.run, group, q[:50], expected)
 
 
@@ -124,21 +123,21 @@ def _order(run: int, group: str, q: Array, expected: Array) -> Iterator[Remark]:
             f"exchange the columns under channels: {group}.qw takes that of qx, qx that "
             f"of qy, qy that of qz, qz that of qw"
         )
-        yield error("attitude", run, name, text, fix, angle_deg=given, w_first_deg=w_first)
+        yield error("attitude", run, name, text, fix)
     elif given > TURNED_DEG:
         text = (
             f"starts {given:.0f} deg from the scenario's attitude; the platform rotates "
             f"by 10 deg at most"
         )
         fix = "check frames and columns, or set approach.attitude_deg"
-        yield error("attitude", run, name, text, fix, angle_deg=given)
+        yield error("attitude", run, name, text, fix)
     elif given > 1.0 and conjugate < 0.2 * given:
         text = (
             f"starts {given:.1f} deg from the scenario's attitude, {conjugate:.1f} deg "
             f"when inverted: it is P in A"
         )
         fix = "give the scale -1 to its qx, qy and qz"
-        yield error("attitude", run, name, text, fix, angle_deg=given, conjugate_deg=conjugate)
+        yield error("attitude", run, name, text, fix)
 
 
 def _angle_deg(q: Array, expected: Array) -> float:
@@ -161,7 +160,7 @@ def _measured_force(record: Record, found: Survey, scenario: Scenario) -> Iterat
             f"pulls while pushing: {low:.4g} N at its strongest against {high:.4g} N, "
             f"and falls as the penetration grows"
         )
-        yield error("sign", run, name, text, scale_fix(name, -1.0), lowest=low, highest=high)
+        yield error("sign", run, name, text, scale_fix(name, -1.0))
     expected = _expected_force(record, scenario)
     if not expected:
         return
@@ -172,7 +171,7 @@ def _measured_force(record: Record, found: Survey, scenario: Scenario) -> Iterat
             f"N: {factor_text(ratio, 'N')}"
         )
         fix = scale_fix(name, 10.0 ** -round(math.log10(ratio)))
-        yield error("unit", run, name, text, fix, peak=peak, expected=expected)
+        yield error("unit", run, name, text, fix)
     elif not clear:
         yield from _other_axis(record, found, name, expected)
 
@@ -228,18 +227,22 @@ def _fastest(record: Record, depth: Array) -> float:
 
 def _other_axis(record: Record, found: Survey, name: str, expected: float) -> Iterator[Remark]:
     group = name.partition(".")[0]
-    own = float(np.nanmax(np.abs(from_baseline(record, found, name))))
+    own = _peak(record, found, name)
     for other in (f"{group}.fx", f"{group}.fy"):
         if not record.has(other):
             continue
-        peak = float(np.nanmax(np.abs(from_baseline(record, found, other))))
+        peak = _peak(record, found, other)
         if 0.3 * expected < peak < 3 * expected and own < 0.1 * peak:
             text = (
                 f"stays in its noise while {other} peaks at {peak:.4g} N, about what is "
                 f"expected along z: the axes are swapped"
             )
             fix = f"exchange the columns of {name} and {other}"
-            yield error("axes", record.run, name, text, fix, other_peak=peak, expected=expected)
+            yield error("axes", record.run, name, text, fix)
+
+
+def _peak(record: Record, found: Survey, name: str) -> float:
+    return float(np.nanmax(np.abs(from_baseline(record, found, name))))
 
 
 def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
@@ -259,21 +262,21 @@ def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
             text = (
                 f"is opposite to {meas} (correlation {together:.2f}): the sign of one is reversed"
             )
-            yield error("sign", run, comp, text, scale_fix(comp, -1.0), correlation=together)
+            yield error("sign", run, comp, text, scale_fix(comp, -1.0))
         if not 1 / FORCE_FACTOR < ratio < FORCE_FACTOR:
             text = (
                 f"peaks at {peaks[1]:.4g} where {meas} peaks at {peaks[0]:.4g}: "
                 f"{factor_text(ratio, 'N')}"
             )
             fix = scale_fix(comp, likely_scale(ratio, "N"))
-            yield error("unit", run, comp, text, fix, peak=peaks[1], measured_peak=peaks[0])
+            yield error("unit", run, comp, text, fix)
 
 
 def _torques(record: Record, found: Survey) -> Iterator[Remark]:
     """Remarks on torques that would need a lever arm longer than any rig."""
     for group in ("wrench_meas", "wrench_comp"):
         names = [n for n in record.columns() if n.startswith(group + ".")]
-        peaks = {n: float(np.nanmax(np.abs(from_baseline(record, found, n)))) for n in names}
+        peaks = {n: _peak(record, found, n) for n in names}
         forces = [peak for name, peak in peaks.items() if name[-2] == "f"]
         largest = max(forces, default=0.0)
         if len(forces) < 3 or largest == 0.0:
@@ -286,7 +289,7 @@ def _torques(record: Record, found: Survey) -> Iterator[Remark]:
                     f"arm of {peak / largest:.3g} m, another unit?"
                 )
                 fix = scale_fix(name, 1e-3)
-                yield error("lever", record.run, name, text, fix, torque=peak, force=largest)
+                yield error("lever", record.run, name, text, fix)
 
 
 def _arms(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
@@ -315,7 +318,7 @@ def _arms(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]
                     f"is {share:.2f} times the torque of the off-axis force about P's "
                     f"origin: the sign is reversed"
                 )
-                yield error("sign", record.run, name, text, scale_fix(name, -1.0), share=share)
+                yield error("sign", record.run, name, text, scale_fix(name, -1.0))
         elif all(RATIO[0] < share < RATIO[1] for share in crossed) and not any(
             RATIO[0] < share < RATIO[1] for share in own
         ):
@@ -324,7 +327,7 @@ def _arms(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]
                 f"{names[2]} is that of this axis: they are exchanged"
             )
             fix = f"exchange the columns of {names[1]} and {names[2]}"
-            yield error("axes", record.run, names[1], text, fix, shares=min(crossed))
+            yield error("axes", record.run, names[1], text, fix)
 
 
 def _share(made: Array, torque: Array) -> float:

@@ -12,14 +12,21 @@ from numpy.typing import NDArray
 from hiltestbed.config.dataset import Channel
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array, quat_from_attitude_deg
-from hiltestbed.measured.clock import UsableRows, check_clock, start_of_run, unrolled
+from hiltestbed.measured.clock import (
+    UsableRows,
+    as_ticks,
+    bend,
+    check_clock,
+    start_of_run,
+    to_ticks,
+    unrolled,
+)
 from hiltestbed.measured.columns import Columns, unreadable
 from hiltestbed.measured.data_format import DataFormat
 from hiltestbed.measured.formats import read_columns
 from hiltestbed.measured.noise import digits_of, step_of, white_noise
 from hiltestbed.measured.record import MEASURED_GROUPS, Record, place, stretches
 from hiltestbed.measured.remark import Remark, loss, note
-from hiltestbed.measured.ticks import as_ticks, bend, to_ticks
 from hiltestbed.measured.units import ANGLES
 from hiltestbed.measured.values import (
     SAME,
@@ -216,8 +223,7 @@ def _losses(
             f"from {clock.t[start]:.6g} s"
         )
         text += "; left out of this run" if count > MISSING_LIMIT * of else ""
-        evidence = {"missing": count, "of": of, "longest": longest}
-        remarks.append(loss(run, ", ".join(names), text, **evidence))
+        remarks.append(loss(run, ", ".join(names), text))
     return lost, remarks
 
 

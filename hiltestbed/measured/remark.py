@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from hiltestbed.config.dataset import Check
@@ -21,7 +21,7 @@ class Remark:
             samples cannot be used; ``note``: for information.
         run: number of the run, or None for the whole dataset. file: its name in messages.
         channel: column or group of the trace, ``t``, or empty for the run as a whole.
-        text: the finding, with its numbers. evidence: the numbers, by name.
+        text: the finding, with its numbers.
         fix: what to do, if possible in the syntax of the dataset file; may be empty.
         check: the word for it in the dataset's ``accept``; empty if it cannot be accepted.
         overridden: whether it was an error that the dataset accepts.
@@ -32,7 +32,6 @@ class Remark:
     channel: str
     text: str
     fix: str = ""
-    evidence: Mapping[str, float] = field(default_factory=dict)
     check: Check | Literal[""] = ""
     file: str = ""
     overridden: bool = False
@@ -62,27 +61,19 @@ class Remark:
         return "; ".join(part for part in (self.fix, anyway) if part)
 
 
-def error(
-    check: Check | Literal[""],
-    run: int | None,
-    channel: str,
-    text: str,
-    fix: str,
-    /,
-    **evidence: float,
-) -> Remark:
+def error(check: Check | Literal[""], run: int | None, channel: str, text: str, fix: str) -> Remark:
     """A finding with which a diagnosis would be wrong; ``check``: the word that accepts it."""
-    return Remark("error", run, channel, text, fix, evidence, check)
+    return Remark("error", run, channel, text, fix, check)
 
 
-def loss(run: int | None, channel: str, text: str, fix: str = "", /, **evidence: float) -> Remark:
+def loss(run: int | None, channel: str, text: str, fix: str = "") -> Remark:
     """A finding by which a channel, a run or samples cannot be used."""
-    return Remark("loss", run, channel, text, fix, evidence)
+    return Remark("loss", run, channel, text, fix)
 
 
-def note(run: int | None, channel: str, text: str, fix: str = "", /, **evidence: float) -> Remark:
+def note(run: int | None, channel: str, text: str, fix: str = "") -> Remark:
     """A finding for information."""
-    return Remark("note", run, channel, text, fix, evidence)
+    return Remark("note", run, channel, text, fix)
 
 
 def together(remarks: Iterable[Remark]) -> list[Remark]:

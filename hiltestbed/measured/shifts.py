@@ -120,7 +120,7 @@ def _shifted(record: Record, channel: str, rows: float, tick: float, why: str) -
 
 
 def _remark(record: Record, channel: str, text: str, fix: str, rows: float) -> Remark:
-    found = error("shift", record.run, channel, text, fix, rows=float(rows))
+    found = error("shift", record.run, channel, text, fix)
     return found if abs(rows) > LOGGER else replace(found, severity="note")
 
 
@@ -134,7 +134,7 @@ def _ahead(record: Record, rows: float, moved: int | None, tick: float, found: S
             "does not: the two are exchanged"
         )
         fix = "exchange the columns of pose_cmd and pose_act"
-        return error("shift", record.run, "pose_cmd", text, fix, rows=rows)
+        return error("shift", record.run, "pose_cmd", text, fix)
     text = (
         f"precedes the response to its command by {rows:.3g} rows: it is early in the "
         f"record, or exchanged with pose_cmd"
@@ -156,7 +156,7 @@ def _answered(record: Record, rows: int, tick: float, why: str) -> Remark:
         f"move it by {-rows * tick:.6g} s before the export; otherwise the "
         f"diagnosis may name log.skew or a late sensor"
     )
-    remark = note(record.run, "wrench_meas", text, fix, rows=float(rows))
+    remark = note(record.run, "wrench_meas", text, fix)
     return replace(remark, check="shift")
 
 

@@ -135,12 +135,6 @@ def starts_at_fault(record: Record, found: Survey, scenario: Scenario) -> Iterat
 
 
 def _fault(record: Record, name: str, start: Start) -> Iterator[Remark]:
-    evidence = {
-        "start": start.begin,
-        "travel": start.travel,
-        "expected_start": start.expected_begin,
-        "expected_travel": start.expected_travel,
-    }
     seen = (
         f"starts at {start.begin:.4g} and moves by {start.travel:.4g} before the first touch; "
         f"the scenario has {start.expected_begin:.4g} m and {start.expected_travel:.4g} m"
@@ -151,17 +145,15 @@ def _fault(record: Record, name: str, start: Start) -> Iterator[Remark]:
             f"{scale_fix(name, likely_scale(size, 'm'))}; or set the approach of this "
             f"run, if it was another: set: {{approach.gap: ...}}"
         )
-        yield error("unit", run, name, f"{seen}: {factor_text(size, 'm')}", fix, **evidence)
+        yield error("unit", run, name, f"{seen}: {factor_text(size, 'm')}", fix)
     elif start.reversed:
         text = f"{seen}: the sign is reversed"
-        yield error("sign", run, name, text, scale_fix(name, -1.0), **evidence)
+        yield error("sign", run, name, text, scale_fix(name, -1.0))
     elif name in OTHER_PLACE and start.velocity:
-        yield from _another(record, name, start, evidence)
+        yield from _another(record, name, start)
 
 
-def _another(
-    record: Record, name: str, start: Start, evidence: dict[str, float]
-) -> Iterator[Remark]:
+def _another(record: Record, name: str, start: Start) -> Iterator[Remark]:
     """Errors for another approach than the scenario's, which would be blamed on a link."""
     speed, place = start.velocity, start.expected_begin
     commanded = name == "pose_cmd.pz"
@@ -170,7 +162,7 @@ def _another(
         text = f"begins at {start.rate:.4g} m/s; the scenario approaches at {speed:.4g} m/s"
         given = f"{{approach.velocity.2: {start.rate:.4g}}}"
         fix = f"if this is right, set in the entry of the run: set: {given}"
-        yield error("start", record.run, name, text, fix, **evidence, speed=start.rate)
+        yield error("start", record.run, name, text, fix)
     elif abs(start.begin - place) > OTHER_PLACE[name] * start.gap + stamped:
         text = (
             f"begins at {start.begin:.4g} m; by its approach the scenario is at {place:.4g} m then"
@@ -179,7 +171,7 @@ def _another(
         fix = f"if the numbers have another origin, channels: {{{name}: {{offset: {offset:.4g}}}}}"
         if gap > 0.0 and commanded:
             fix = f"set in the entry of the run: set: {{approach.gap: {gap:.4g}}}; or, {fix}"
-        yield error("start", record.run, name, text, fix, **evidence)
+        yield error("start", record.run, name, text, fix)
 
 
 def scale_fix(channel: str, scale: float) -> str:

@@ -109,10 +109,9 @@ def remarks_on(record: Record, found: Survey, scenario: Scenario) -> list[Remark
     if scenario.mechanism.captured or (depth is None and not force):
         return []
     if not found.contacts:
-        evidence = {} if depth is None else {"pz_max": float(np.nanmax(depth))}
-        deepest = f" (pz reaches {evidence['pz_max']:.4g} m)" if evidence else ""
+        deepest = "" if depth is None else f" (pz reaches {np.nanmax(depth):.4g} m)"
         text = f"has no contact{deepest}; contact, sensor and compensation cannot be judged from it"
-        return [loss(run, "", text, **evidence)]
+        return [loss(run, "", text)]
     if not force or depth is None:
         return []
     peak = max(abs(c.peak_force or 0.0) for c in found.contacts)
@@ -125,7 +124,7 @@ def remarks_on(record: Record, found: Survey, scenario: Scenario) -> list[Remark
         f"penetrate by {1e3 * deepest:.3g} mm"
     )
     fix = "check that the sensor was on and its column is the right one"
-    return [note(run, "wrench_meas.fz", text, fix, peak=peak)]
+    return [note(run, "wrench_meas.fz", text, fix)]
 
 
 def from_baseline(record: Record, found: Survey, name: str) -> Array:

@@ -1,15 +1,21 @@
-"""Columns of a file as signals of the trace: missing and repeated samples, unit, scale, offset."""
+"""Columns of a file as signals of the trace: missing and repeated samples, unit, scale, offset.
+Values that stand for a missing sample (-9999, 1e30, 0 ...) and single readings far from all others
+are told by the statistics of their own column.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hiltestbed.config.dataset import Channel
 from hiltestbed.frames import Array
 from hiltestbed.measured.columns import Columns
-from hiltestbed.measured.outliers import Outliers, declared, outliers
 from hiltestbed.measured.record import stretches
 from hiltestbed.measured.remark import Remark, loss, note
 from hiltestbed.measured.units import SI_UNIT, UNITS, factor, split_unit, unit_named
@@ -21,6 +27,18 @@ HELD = "wrench_meas"  # the group whose repeated rows are looked for
 HELD_AXES = 3  # that must be constant together
 HELD_MOST = 0.2  # part of the rows; above it, the sensor is slower than its log and repeats most
 HELD_LONGEST = 12  # successive rows; longer constant stretches are a sensor at rest
+# Steps to both neighbours of a value, in steps of the rows around it: a curve that turns in a dead
+# zone of n rows jumps by n/2 of its steps at either end, and no more than AROUND rows are taken for
+# missing ones within the range of a column.
+FAR = 5.0
+AROUND = 5  # rows
+# steps in median steps of the column: 10 sigma of white noise, as the median step is 0.95 sigma
+ABOVE_NOISE = 10.0
+CHANCE = 0.01  # that a reading looks like a mark: by its repetitions and digits
+SAMPLED = 500  # values of a column whose digits are counted
+# chosen: share of the steps of a column above which a value within its range stands out
+STEPPED = 0.995
+SPIKE_ROWS = 2  # rows of a spike, at most
 
 
 def signal(
@@ -69,8 +87,8 @@ def _unit(run: int, name: str, stated: str, channel: Channel) -> tuple[float, li
         return mapped, []
     unit, known = unit_named(stated), UNITS[SI_UNIT[name]]
 
-    def remark(text: str, fix: str = "", **evidence: float) -> list[Remark]:
-        return [note(run, name, f"is in {stated} by the file{text}", fix, **evidence)]
+    def remark(text: str, fix: str = "") -> list[Remark]:
+        return [note(run, name, f"is in {stated} by the file{text}", fix)]
 
     if unit not in known:
         if channel.unit or channel.scale != 1.0 or SI_UNIT[name] == "1":
@@ -80,9 +98,9 @@ def _unit(run: int, name: str, stated: str, channel: Channel) -> tuple[float, li
     own = known[unit]
     if channel.unit is not None:
         text = f", in {channel.unit} by the channel map, which is used"
-        return mapped, [] if mapped == own else remark(text, factor=own)
+        return mapped, [] if mapped == own else remark(text)
     if abs(channel.scale) == 1.0:
-        return own, [] if own == 1.0 else remark(f": multiplied by {own:.9g}", factor=own)
+        return own, [] if own == 1.0 else remark(f": multiplied by {own:.9g}")
     if abs(abs(channel.scale) / own - 1.0) < EQUAL:
         return 1.0, []
     text = (
@@ -90,7 +108,7 @@ def _unit(run: int, name: str, stated: str, channel: Channel) -> tuple[float, li
         f"unit, so that the scale alone is used"
     )
     fix = f"to convert the unit as well, channels: {{{name}: {{unit: {unit}}}}}"
-    return 1.0, remark(text, fix, factor=own, scale=channel.scale)
+    return 1.0, remark(text, fix)
 
 
 def _outlier(run: int, name: str, found: Outliers) -> Remark:
@@ -100,13 +118,12 @@ def _outlier(run: int, name: str, found: Outliers) -> Remark:
         f"is {found.value:.9g} in {count} of {of} rows, first in row {first + 1}, far from the "
         f"rows around them; all others are within {found.low:.6g} and {found.high:.6g}"
     )
-    evidence = {"value": found.value, "rows": count, "of": of, "first_row": first}
     if found.code:
         text = f"{text}: taken as missing"
         fix = f"to state it, {key}[{found.value:.9g}]}}}}; to use them as they are, {key}[]}}}}"
-        return loss(run, name, text, fix, **evidence)
+        return loss(run, name, text, fix)
     fix = f"if it stands for a missing sample, {key}[{found.value:.9g}]}}}}"
-    return note(run, name, f"{text}: an outlier, used as it is", fix, **evidence)
+    return note(run, name, f"{text}: an outlier, used as it is", fix)
 
 
 def without_empty(
@@ -140,4 +157,130 @@ def without_held(run: int, values: Mapping[str, Array]) -> tuple[dict[str, Array
         f"repeats the previous row in {int(held.sum())} of {len(held)} rows on all axes: "
         f"held by the logger, and left out"
     )
-    return out, [loss(run, HELD, text, rows=float(held.sum()))]
+    return out, [loss(run, HELD, text)]
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """What a column holds of a value that is far from the rest.
+
+    Attributes:
+        value: as in the file. rows: ``(rows,)`` bool, where it is.
+        code: whether it stands for a missing sample: a reading would be repeated as exactly, or
+            have as few digits, with a probability of at most :data:`CHANCE`.
+        low, high: range of all other values.
+    """
+
+    value: float
+    rows: NDArray[np.bool_]
+    code: bool
+    low: float
+    high: float
+
+
+def outliers(values: Array) -> Iterator[Outliers]:
+    """The values in ``(rows,)`` that are isolated: a jump leads to them and a jump leads back, far
+    beyond the steps of the rows around them and the noise.
+
+    Within the range of the other values at most :data:`AROUND` successive rows count, since a dead
+    zone holds zero for longer. At the ends one jump is enough.
+    """
+    at = np.flatnonzero(np.isfinite(values))
+    x = values[at]
+    if not len(x):
+        return
+    starts = np.flatnonzero(np.r_[True, x[1:] != x[:-1]])
+    ends = np.r_[starts[1:], len(x)]
+    changes = np.diff(x[starts])  # between stretches of equal values, as a logger may hold
+    if not len(changes):
+        return
+    steps = np.abs(changes)
+    jumps = np.minimum(np.r_[np.inf, steps], np.r_[steps, np.inf])
+    back = np.r_[True, changes[1:] * changes[:-1] < 0.0, True]
+    back &= jumps > np.r_[0.0, np.abs(changes[1:] + changes[:-1]), 0.0]
+    found: dict[float, list[tuple[int, int]]] = {}
+    for k in np.flatnonzero(back & (jumps > ABOVE_NOISE * np.median(steps))):
+        around = np.r_[steps[max(0, k - 4) : max(0, k - 1)], steps[k + 1 : k + 4]]
+        if len(around) and jumps[k] > FAR * np.median(around):
+            found.setdefault(float(x[starts[k]]), []).append((int(starts[k]), int(ends[k])))
+    count = sum(map(len, found.values()))
+    for value, runs in found.items():
+        yield from _judged(value, runs, count, values, at)
+
+
+def _judged(
+    value: float, runs: list[tuple[int, int]], count: int, values: Array, at: NDArray[np.intp]
+) -> Iterator[Outliers]:
+    """What is said of one of ``count`` isolated stretches, if anything."""
+    x = values[at]
+    rest = x[x != value]
+    low, high = float(rest.min()), float(rest.max())
+    away = max(low - value, value - high)
+    if away <= 0.0:  # within the range of the others
+        # jumps as large are part of a column that a converter or a controller moves in steps
+        usual = float(np.quantile(np.abs(np.diff(rest)), STEPPED)) if len(rest) > 1 else 0.0
+        runs = [(a, b) for a, b in runs if b - a <= AROUND and _least_jump(x, a, b) > usual]
+    elif len(rest) < 0.5 * len(x):
+        return
+    if not runs:
+        return
+    lengths = [end - start for start, end in runs]
+    code = _chance(value, lengths, count, rest) <= CHANCE
+    if not code and not (max(lengths) <= SPIKE_ROWS and away > high - low):
+        return
+    rows = values == value if away > 0.0 else np.zeros(len(values), dtype=bool)
+    for start, end in runs:
+        rows[at[start:end]] = True
+    yield Outliers(value, rows, code, low, high)
+
+
+def _least_jump(x: Array, start: int, end: int) -> float:
+    """The smaller of the jumps to and from rows ``start`` to ``end``; at the ends there is one."""
+    jumps = [abs(x[k] - x[k - 1]) for k in (start, end) if 0 < k < len(x)]
+    return float(min(jumps, default=math.inf))
+
+
+def _chance(value: float, lengths: list[int], count: int, rest: Array) -> float:
+    """Probability that some of ``count`` isolated readings agree in ``value`` in as many stretches,
+    repeat it from row to row for their ``lengths``, and have as few digits, in a column that is
+    otherwise ``rest``.
+    """
+    many = len(lengths)
+    agree = math.comb(count, many) * float(len(np.unique(rest))) ** (1 - many)
+    held = float(np.mean(rest[1:] == rest[:-1])) ** (sum(lengths) - many) if len(rest) > 1 else 1.0
+    zeros = _shorter(value, rest[:: max(1, len(rest) // SAMPLED)])
+    return agree * held * 10.0**-zeros
+
+
+def _shorter(value: float, rest: Array) -> float:
+    """By how many digits a value is shorter than the ``rest`` is written: decimal places if most
+    have as many, as of a fixed format, otherwise significant digits.
+    """
+    places, digits = _written(rest)
+    own_places, own_digits = _written(np.array([value]))
+    low, high = np.quantile(places, (0.25, 0.75))
+    if high - low < 1.0:
+        return max(0.0, float(np.median(places) - own_places[0]))
+    return max(0.0, float(np.median(digits) - own_digits[0]))
+
+
+def _written(values: Array) -> tuple[Array, Array]:
+    """Decimal places and significant digits of each value, of single precision if it is."""
+    with np.errstate(over="ignore"):
+        single = values.astype(np.float32)
+    texts = [repr(float(v)) if float(f) != float(v) else str(f)
+             for v, f in zip(values, single, strict=True)]  # fmt: skip
+    parts = [Decimal(text).normalize().as_tuple() for text in texts]
+    places = [max(0, -p.exponent) if isinstance(p.exponent, int) else 0 for p in parts]
+    digits = [len(p.digits) if any(p.digits) else 0 for p in parts]
+    return np.array(places, dtype=np.float64), np.array(digits, dtype=np.float64)
+
+
+def declared(values: Array, missing: tuple[float, ...]) -> NDArray[np.bool_]:
+    """``(rows,)``: where a column has one of the values that stand for a missing sample; equal as
+    single-precision numbers, in which a file may hold what a user writes in decimal.
+    """
+    with np.errstate(over="ignore"):
+        single = values.astype(np.float32)
+        marks = np.array(missing, dtype=np.float32)
+    return np.isin(single, marks[np.isfinite(marks)]) | np.isin(values, missing)

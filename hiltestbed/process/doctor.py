@@ -9,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 
 from hiltestbed.compiled.warm import cores
+from hiltestbed.process.output import has_display
 
 EXTRAS = {  # optional package, to its purpose and the extra that installs it
     "h5py": ("HDF5 data", "hdf5"),
@@ -92,9 +93,7 @@ def _cache() -> Examined:
 
 
 def _viewer() -> Examined:
-    display = sys.platform != "linux" or bool(
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    )
+    display = has_display()
     state = (
         "a display is available"
         if display

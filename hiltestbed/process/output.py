@@ -128,6 +128,13 @@ def _discard(stream: Any) -> None:
         os.close(null)
 
 
+def has_display() -> bool:
+    """Whether a window can be opened here."""
+    return sys.platform in ("win32", "darwin") or bool(
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )
+
+
 def terminal() -> bool:
     """Whether standard error is a terminal, so that a line on it can be overwritten."""
     return _plain(sys.stderr).isatty()

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 # Okabe and Ito's palette: distinguishable with any of the common colour-vision deficiencies
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 
+POINTS = 4000  # of a curve: more cannot be distinguished
+
 
 def shade_contacts(axes: Axes, t: np.ndarray, contact: np.ndarray) -> None:
     """Shade the times ``t`` ``(rows,)`` [s] at which ``contact`` ``(rows,)`` is true."""

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 DOTTED = re.compile(r"(?<=[a-z0-9_])\.(?=[a-z_])")  # the dots in a scenario key or in a file name
 LONGEST_NAME = 48  # characters of the caption in a figure's file name
 
-_PAGE = Environment(autoescape=True).from_string("""<!doctype html>
+_HTML = Environment(autoescape=True)
+_PAGE = _HTML.from_string("""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{{ title }}</title>
 <style>
@@ -41,6 +42,15 @@ p.warning { border-left: 4px solid #d55e00; padding: .3rem .9rem; background: #f
   figure .scroll img { max-width: none; width: calc(var(--wide) * .62px) } }
 </style></head><body><h1>{{ title }}</h1>{% for part in parts %}{{ part }}{% endfor %}</body></html>
 """)
+# a dotted key may break after a dot, nothing before a per cent sign
+_HTML.filters["cell"] = lambda cell: Markup(
+    DOTTED.sub(".<wbr>", escape(str(cell).replace(" %", "\N{NO-BREAK SPACE}%")))
+)
+_TABLE = _HTML.from_string(
+    '<div class="scroll"><table>{% for tag, cells in lines %}<tr>{% for cell in cells %}<{{ tag }}'
+    '{% if words[loop.index0] %} class="words"{% endif %}>{{ cell | cell }}</{{ tag }}>{% endfor %}'
+    '</tr>{% endfor %}</table></div>{% if caption %}<p class="soft">{{ caption }}</p>{% endif %}'
+)
 
 
 class Report:
@@ -80,29 +90,9 @@ class Report:
         self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = ""
     ) -> None:
         """Cells are escaped; numbers should come formatted."""
-        opening = [
-            ' class="words"' if i and _words([row[i] for row in rows]) else ""
-            for i in range(len(header))
-        ]
-        head = Markup("").join(
-            Markup(f"<th{of}>{{}}</th>").format(_cell(cell))
-            for of, cell in zip(opening, header, strict=True)
-        )
-        body = Markup("").join(
-            Markup("<tr>{}</tr>").format(
-                Markup("").join(
-                    Markup(f"<td{of}>{{}}</td>").format(_cell(cell))
-                    for of, cell in zip(opening, row, strict=True)
-                )
-            )
-            for row in rows
-        )
-        below = Markup('<p class="soft">{}</p>').format(caption) if caption else Markup("")
-        self._parts.append(
-            Markup('<div class="scroll"><table><tr>{}</tr>{}</table></div>{}').format(
-                head, body, below
-            )
-        )
+        words = [i > 0 and _words([row[i] for row in rows]) for i in range(len(header))]
+        lines = [("th", header), *(("td", row) for row in rows)]
+        self._parts.append(Markup(_TABLE.render(lines=lines, words=words, caption=caption)))
 
     def figure(self, figure: Figure, caption: str = "") -> None:
         """A matplotlib figure, as a PNG inside the page."""
@@ -163,12 +153,6 @@ def _words(cells: Sequence[object]) -> bool:
     """Whether a column contains mostly text, which is left-aligned; numbers are right-aligned."""
     firsts = [str(cell)[:1] for cell in cells if str(cell)]
     return 2 * sum(first.isalpha() for first in firsts) > len(firsts)
-
-
-def _cell(cell: object) -> Markup:
-    """The escaped cell; no break before a per cent sign; dotted keys may break after a dot."""
-    text = escape(str(cell).replace(" %", "\N{NO-BREAK SPACE}%"))
-    return Markup(DOTTED.sub(".<wbr>", text))
 
 
 def new_figure(width: float = 8.0, height: float = 4.0, **subplots: object):

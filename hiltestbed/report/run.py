@@ -4,7 +4,6 @@ identified, what to do next.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -14,17 +13,17 @@ from hiltestbed.analysis.assessment import (
     NEUTRAL,
     assess,
     energy_share,
+    figures_of,
     identified,
-    monitored,
 )
 from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.identification.samples import GATE_SIGMA
-from hiltestbed.report.curves import PALETTE, shade_contacts
+from hiltestbed.report.curves import PALETTE, POINTS, shade_contacts
 from hiltestbed.report.page import Report, new_figure, provenance
 from hiltestbed.report.table import against
-from hiltestbed.run_folder.notebook import number
+from hiltestbed.run_folder.folders import number
 from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import RunTrace
@@ -32,7 +31,6 @@ from hiltestbed.signals import RunTrace
 REPORT = "report.html"
 NORMAL = " normal: along the contact normal of the surfaces, which is not an axis."
 STYLES = ("-", "--", ":")
-POINTS = 4000  # rows in a figure: more cannot be distinguished
 
 
 def run_report(run: Run) -> Report:
@@ -44,7 +42,9 @@ def run_report(run: Run) -> Report:
     for warning in judged.warnings:
         report.warning(f"{warning}.")
     report.heading("What happened")
-    report.table(("figure", "value", "meaning"), _figures(summary))
+    error = number(1e3 * summary["tracking_error"], 3, "mm")
+    tracking = ("largest tracking error", error, "commanded minus reached position")
+    report.table(("figure", "value", "meaning"), [*figures_of(summary), tracking])
     if run.trace is not None and len(run.trace.t):
         report.figure(_signals(run.trace), "Along the insertion. Shaded: in contact.")
     report.heading("Is the loop passive?")
@@ -63,39 +63,6 @@ def run_report(run: Run) -> Report:
         rows + provenance(summary["versions"], summary.get("plugins", {})),
     )
     return report
-
-
-def _figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
-    rows: list[tuple[str, str, str]] = []
-
-    def add(name: str, value: str, meaning: str = "") -> None:
-        rows.append((name, value, meaning))
-
-    contacts = f"{summary['contacts']} contacts" if summary["contacts"] != 1 else "1 contact"
-    speeds = "rebound speed over approach speed, of the numerical model"
-    add("outcome", summary["outcome"].replace("_", " "), contacts)
-    add("coefficient of restitution", number(summary["cor"]), speeds)
-    ideal = "the same contact with no delay and ideal tracking"
-    add("its reference", number(summary["cor_reference"]), ideal)
-    if (error := summary["cor_log_error"]) is not None:
-        off = f"the rebound deviates by {100.0 * math.expm1(error):+z.1f} %"
-        add("ln of their ratio", f"{error:+.4f}", off)
-    if summary.get("cor_normal") is not None and summary["cor"] is None:
-        reference = number(summary.get("cor_normal_reference"))
-        note = (
-            f"of the first contact: speed after over before, along the direction of its "
-            f"impulse; reference {reference}"
-        )
-        add("restitution along the impulse", number(summary["cor_normal"]), note)
-    made = number(summary["energy_generated"], 4, "J")
-    add("energy made by the rig", made, assess(summary).energy)
-    add("peak force", number(summary["peak_force"], 4, "N"))
-    add("contact time", number(summary["contact_duration"], 4, "s"))
-    error = number(1e3 * summary["tracking_error"], 3, "mm")
-    add("largest tracking error", error, "commanded minus reached position")
-    if (seen := monitored(summary)) is not None:
-        add("process monitoring", *seen)
-    return rows
 
 
 def _margin(scenario: Scenario, summary: dict[str, Any]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,9 +10,9 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from hiltestbed.analysis.assessment import assess, identified, monitored
+from hiltestbed.analysis.assessment import assess, figures_of, identified
 from hiltestbed.process.output import console
-from hiltestbed.run_folder.notebook import number
+from hiltestbed.run_folder.folders import number
 
 if TYPE_CHECKING:
     from hiltestbed.process.doctor import Examined
@@ -172,28 +171,8 @@ def _whole_words(columns: Sequence[Sequence[str]], room: int) -> list[int] | Non
 
 def _figures(summary: dict[str, Any], elapsed: float | None) -> Table:
     table = _table(f"{summary['name']}: {summary['status']}", "", ">", "")
-    table.add_row("outcome", summary["outcome"].replace("_", " "), _outcome_note(summary))
-    cor, reference, log_error = summary["cor"], summary["cor_reference"], summary["cor_log_error"]
-    table.add_row("coefficient of restitution", number(cor, 4), _cor_note(cor, reference))
-    if log_error is not None:
-        table.add_row("  ln of the ratio", f"{log_error:+.4f}", _error_note(summary))
-    elif (along := summary.get("cor_normal")) is not None:
-        reference = number(summary.get("cor_normal_reference"))
-        note = f"of the first contact, speed after over before; reference {reference}"
-        table.add_row("  along the impulse", number(along), note)
-    made = number(summary["energy_generated"], 4, "J")
-    table.add_row("energy made by the rig", made, assess(summary).energy)
-    stability = summary.get("stability")
-    if stability:
-        judged = {True: "stable", False: "unstable", None: "not judged"}[stability["stable"]]
-        why = stability["verdict"].removeprefix(f"{judged}: ").removeprefix(f"{judged} ")
-        table.add_row("the loop in contact", judged, why)
-    table.add_row("peak force", number(summary["peak_force"], 4, "N"), "")
-    lasted = summary["contact_duration"]
-    missed = "" if lasted else "the ports did not touch"
-    table.add_row("contact time", number(lasted, 4, "s"), missed)
-    if (seen := monitored(summary)) is not None:
-        table.add_row("process monitoring", *seen)
+    for row in figures_of(summary):
+        table.add_row(*map(escape, row))
     timing = summary["timing"]
     pace, factor = f"{timing['ticks']} ticks", timing["real_time_factor"]
     if factor is not None:
@@ -203,27 +182,6 @@ def _figures(summary: dict[str, Any], elapsed: float | None) -> Table:
         note = "with start, compiling, reference and files"
         table.add_row("total time", number(elapsed, 3, "s"), note)
     return table
-
-
-def _outcome_note(summary: dict[str, Any]) -> str:
-    contacts = f"{summary['contacts']} contact" + ("" if summary["contacts"] == 1 else "s")
-    captured = summary["captured_at"]
-    return contacts if captured is None else f"{contacts}, latched at {captured:.3f} s"
-
-
-def _cor_note(cor: float | None, reference: float | None) -> str:
-    if reference is None:
-        return "" if cor is not None else "no rebound to measure"
-    note = f"reference {reference:.4f} (no delay, ideal)"
-    return note if cor is not None else f"no rebound to measure; {note}"
-
-
-def _error_note(summary: dict[str, Any]) -> str:
-    predicted = summary.get("cor_log_error_predicted")
-    percent = 100.0 * math.expm1(summary["cor_log_error"])
-    return f"{percent:+z.1f} %" + (
-        "" if predicted is None else f"; the delay ledger predicts {predicted:+.4f}"
-    )
 
 
 def _ledger(entries: list[dict[str, Any]]) -> Table:

@@ -1,9 +1,12 @@
-"""Names and files of results folders, and the option to write figures as separate files."""
+"""Names and files of results folders, and the option to write figures as separate files; and short
+tables in HTML, as `_repr_html_` returns them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextvars import ContextVar
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +15,7 @@ if TYPE_CHECKING:
 
 # also write the figures of a report beside it, as PNG and SVG
 FIGURES_APART: ContextVar[bool] = ContextVar("figures_apart", default=False)
+_CELL = 'style="text-align:right;font-variant-numeric:tabular-nums"'
 
 
 def parquet_table(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
@@ -53,3 +57,26 @@ def safe_name(name: str) -> str:
         "".join(c if c.isalnum() or c in "-_." else "-" for c in name).strip(".-")[:100]
         or "unnamed"
     )
+
+
+def html_table(
+    title: str, header: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
+) -> str:
+    """A table with a title above it and a note below it; everything is escaped."""
+    head = "".join(f"<th>{escape(name)}</th>" for name in header)
+    body = "".join(
+        "<tr>"
+        + "".join(
+            f"<td{' ' + _CELL if i else ''}>{escape(str(cell))}</td>" for i, cell in enumerate(row)
+        )
+        + "</tr>"
+        for row in rows
+    )
+    below = f"<div>{escape(note)}</div>" if note else ""
+    top = f"<tr>{head}</tr>" if header else ""
+    return f"<div><b>{escape(title)}</b><table>{top}{body}</table>{below}</div>"
+
+
+def number(value: float | None, digits: int = 4, unit: str = "") -> str:
+    """A number with its unit, a dash for None."""
+    return "-" if value is None else f"{value:.{digits}g} {unit}".rstrip()

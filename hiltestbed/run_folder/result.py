@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hiltestbed.analysis.assessment import Assessment, assess
-from hiltestbed.run_folder.notebook import html_table, number
+from hiltestbed.analysis.assessment import Assessment, assess, figures_of
+from hiltestbed.run_folder.folders import html_table, number
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import RunTrace
 from hiltestbed.supervision.snapshot import Snapshot
@@ -45,17 +45,7 @@ class Run:
 
     def _repr_html_(self) -> str:
         s = self.summary
-        rows = [
-            ("outcome", s["outcome"].replace("_", " ")),
-            ("coefficient of restitution", number(s["cor"])),
-            ("the same without delay, ideal tracking", number(s["cor_reference"])),
-            (
-                "energy made by the rig",
-                f"{number(s['energy_generated'], 4, 'J')}, {self.assessment.energy}",
-            ),
-            ("peak force", number(s["peak_force"], 4, "N")),
-            ("contact time", number(s["contact_duration"], 4, "s")),
-        ]
+        rows = figures_of(s)
         return html_table(
             f"{s['name']}: {s['status']}", (), rows, "; ".join(self.assessment.warnings)
         )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.process.output import has_display
 
 RECORDING = "recording.rrd"
 
@@ -42,13 +42,6 @@ def view(folder: str | Path) -> None:
             f"the rerun viewer ended with status {status}; to view it in a browser: rerun "
             f"{recording} --serve-web"
         )
-
-
-def has_display() -> bool:
-    """Whether a window can be opened here."""
-    return sys.platform in ("win32", "darwin") or bool(
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    )
 
 
 def viewer_binary() -> Path:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hiltestbed.contact.composition import ACTIVE, PASSIVE
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.frames import Array, rotation_matrix
-from hiltestbed.report.curves import PALETTE, shade_contacts
+from hiltestbed.report.curves import PALETTE, POINTS, shade_contacts
 from hiltestbed.run_folder.result import Run
 from hiltestbed.run_folder.store import SUMMARY, read_run
 from hiltestbed.signals import JOINT, RunTrace
@@ -29,7 +29,6 @@ AZIMUTH, ELEVATION = np.radians(60.0), np.radians(20.0)  # of the eye, about W's
 AMBIENT = 0.45  # brightness of a surface that is seen edge-on
 MARGIN = 0.1  # around what is shown, of its size
 GLASS = 0.45  # opacity of the passive mechanism: the active one is seen inside it
-POINTS = 4000  # of a curve
 
 
 def write_picture(folder: str | Path, png: str | Path) -> Path:

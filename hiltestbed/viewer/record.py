@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from hiltestbed.analysis.assessment import assess, monitored
+from hiltestbed.analysis.assessment import assess, figures_of
+from hiltestbed.run_folder.folders import number
 from hiltestbed.run_folder.result import Run
 from hiltestbed.signals import RunTrace
 from hiltestbed.viewer import spacecraft
@@ -111,26 +112,11 @@ def _every(ticks: int, step: float) -> NDArray[np.intp]:
 def figures(run: Run) -> str:
     """Markdown: description of the run, its figures, and the identified values."""
     summary, scenario = run.summary, run.scenario
-    rows: list[tuple[str, Any, str]] = [
-        ("coefficient of restitution", summary["cor"], ""),
-        ("reference: no delay, ideal tracking", summary["cor_reference"], ""),
-        ("ln of their ratio", summary["cor_log_error"], ""),
-        ("peak force", summary["peak_force"], "N"),
-        ("contact time", summary["contact_duration"], "s"),
-        ("energy made by the rig", summary["energy_generated"], "J"),
-    ]
-    cells = [[name, _number(value, unit)] for name, value, unit in rows]
-    if "outcome" in summary:
-        cells.insert(0, ["outcome", summary["outcome"].replace("_", " ")])
-    if (seen := monitored(summary)) is not None:
-        cells.append(["process monitoring", " ".join(seen)])
     lines = [f"# {summary['name']}", "", scenario.description or "", ""]
-    lines += _table("figure | value", cells)
+    lines += _table("figure | value | meaning", figures_of(summary))
     if summary["status"] != "completed":
         lines += ["", f"**{summary['status']}**: {summary['stop_reason']}"]
-    judged = assess(summary)
-    lines += ["", f"Energy: {judged.energy}."]
-    lines += [f"**Warning:** {warning}." for warning in judged.warnings]
+    lines += ["", *(f"**Warning:** {warning}." for warning in assess(summary).warnings)]
     delays = [
         [e["source"], f"{1e3 * e['delay']:+.3f}", f"{e['equivalent_damping']:+.1f}"]
         for e in summary["delay_ledger"]
@@ -141,17 +127,13 @@ def figures(run: Run) -> str:
         if found["stiffness"] is not None:
             units = ("N m/rad", "N m s/rad") if axis.startswith("r") else ("N/m", "N s/m")
             pairs = zip(("stiffness", "damping"), units, strict=True)
-            values = [_number(found[q + of], unit) for q, unit in pairs for of in ("", "_true")]
+            values = [number(found[q + of], 4, unit) for q, unit in pairs for of in ("", "_true")]
             estimates.append([axis, *values])
     lines += _table("axis | stiffness | true | damping | true", estimates)
     return "\n".join(lines)
 
 
-def _table(header: str, rows: list[list[str]]) -> list[str]:
+def _table(header: str, rows: Sequence[Sequence[str]]) -> list[str]:
     """A Markdown table, numbers to the right of a first column of words; nothing without rows."""
     lines = [f"| {header} |", "|---|" + "---:|" * header.count("|")]
     return [*lines, *(f"| {' | '.join(row)} |" for row in rows)] if rows else []
-
-
-def _number(value: float | None, unit: str) -> str:
-    return "–" if value is None else f"{value:.4g} {unit}".strip()

@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from hiltestbed.analysis.spring_damper import SpringDamper
 from hiltestbed.bench.contacts import bounce, grid, random_rigs
 from hiltestbed.bench.contenders import CONTENDERS
 from hiltestbed.bench.cor import (
@@ -16,7 +17,6 @@ from hiltestbed.bench.cor import (
     statistics_of,
 )
 from hiltestbed.bench.cor_report import cell_text, cor_report, worst_errors
-from hiltestbed.campaign.boundary import bounce_delay
 from hiltestbed.simulation import reference_scenario
 
 CONTACTS = grid((4.0,), (0.005, 0.02), damping_ratios=(0.05,))
@@ -86,7 +86,7 @@ def test_the_boundary_is_where_theory_has_it() -> None:
     boundary = stability_boundary(10)
     for frequency, row in zip(boundary["frequency"], boundary["none"], strict=True):
         w = 2.0 * math.pi * frequency
-        limit = bounce_delay(w * w, 2.0 * 0.05 * w, 1.0)
+        limit = SpringDamper(w * w, 2.0 * 0.05 * w, 1.0).neutral_delay
         for delay, e in zip(boundary["delay"], row, strict=True):
             if not 1.0 / 1.05 < delay / limit < 1.05:
                 assert (e > 1.0) == (delay > limit)

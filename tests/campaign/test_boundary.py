@@ -8,21 +8,16 @@ import numpy as np
 import pytest
 
 from hiltestbed.analysis.spring_damper import SpringDamper
-from hiltestbed.campaign.boundary import applies, bounce_cor, bounce_delay, margin, neutral
+from hiltestbed.campaign.figures import boundary_applies as applies
+from hiltestbed.campaign.figures import boundary_margin as margin
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.simulation import run_batch
 
 
 @pytest.mark.parametrize("zeta", [0.05, 0.1, 0.2, 0.4])
-def test_without_delay_the_series_is_the_closed_form(zeta: float) -> None:
-    s = math.sqrt(1 - zeta**2)
-    parts_at_no_force = math.exp(
-        -(zeta / s) * (math.pi - math.atan2(2 * zeta * s, 1 - 2 * zeta**2))
-    )
-    assert bounce_cor(zeta, 0.0) == pytest.approx(parts_at_no_force, rel=1e-12)
-    assert bounce_cor(zeta, 0.0, pulls=True) == pytest.approx(
-        math.exp(-math.pi * zeta / s), rel=1e-12
-    )
+def test_without_delay_a_stepped_bounce_is_the_closed_form(zeta: float) -> None:
+    contact = SpringDamper(1.0, 2 * zeta, 1.0)
+    assert contact.late_cor(0.0) == pytest.approx(contact.cor, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -30,15 +25,7 @@ def test_without_delay_the_series_is_the_closed_form(zeta: float) -> None:
 )
 def test_without_damping_it_is_the_table_of_independent_simulations(w_tau: float, e: float) -> None:
     """Made with steps of 10 us; w tau is given to three digits, which is 1e-3 of e."""
-    assert bounce_cor(0.0, w_tau) == pytest.approx(e, rel=1e-3)
-
-
-@pytest.mark.parametrize("zeta", [0.02, 0.1, 0.2])
-def test_a_bounce_that_may_pull_is_neutral_where_a_closed_contact_is(zeta: float) -> None:
-    """Half a period differs from a whole one by less than 2 % of the delay for w tau < 0.5."""
-    w_tau = SpringDamper(1.0, 2 * zeta, 1.0).critical_delay
-    slope = 0.5 * math.pi  # of ln e over w tau
-    assert abs(math.log(bounce_cor(zeta, w_tau, pulls=True))) < 0.02 * slope * w_tau
+    assert SpringDamper(1.0, 0.0, 1.0).late_cor(w_tau) == pytest.approx(e, rel=1e-3)
 
 
 @pytest.mark.parametrize("zeta", [0.02, 0.05, 0.1])
@@ -46,7 +33,8 @@ def test_a_bounce_that_cannot_pull_is_neutral_earlier_by_the_missing_pull(zeta: 
     """Leaving at v0, the force would pull from x = c v0/k to 0, an impulse of c^2 v0/(2 k): 2
     zeta^2 in e, so 4 zeta^2/pi in w tau.
     """
-    earlier = SpringDamper(1.0, 2 * zeta, 1.0).critical_delay - neutral(zeta)
+    contact = SpringDamper(1.0, 2 * zeta, 1.0)
+    earlier = contact.critical_delay - contact.neutral_delay
     assert earlier == pytest.approx(4 * zeta**2 / math.pi, rel=0.1)
 
 
@@ -75,7 +63,7 @@ def test_the_loop_returns_the_speed_it_came_with_on_the_boundary() -> None:
     """
     zetas = np.array([0.05, 0.1, 0.2])
     dampings = 2 * zetas * math.sqrt(5.0e3 * 50.0)
-    delays = [bounce_delay(5.0e3, damping, 50.0) for damping in dampings]
+    delays = [SpringDamper(5.0e3, damping, 50.0).neutral_delay for damping in dampings]
     runs = run_batch(
         [scenario(delay, damping) for delay, damping in zip(delays, dampings, strict=True)]
     )
@@ -115,7 +103,7 @@ def test_a_contact_that_stays_closed_grows_past_its_boundary_and_dies_before_it(
 
 def test_margins_are_delays_beyond_the_boundaries_and_only_where_they_apply() -> None:
     damping = 2 * 0.1 * math.sqrt(5.0e3 * 50.0)
-    on_it = scenario(bounce_delay(5.0e3, damping, 50.0), damping)
+    on_it = scenario(SpringDamper(5.0e3, damping, 50.0).neutral_delay, damping)
     closed, bounce = margin(on_it)
     assert bounce == pytest.approx(0.0, abs=1e-12)
     assert closed < 0.0

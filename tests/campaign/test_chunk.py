@@ -11,8 +11,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from hiltestbed.campaign.cases import skeleton, structural_keys
-from hiltestbed.campaign.chunk import run_chunk, trace_sha256
+from hiltestbed.campaign.cases import run_chunk, skeleton, structural_keys, trace_sha256
 from hiltestbed.campaign.columns import SCALARS, table
 from hiltestbed.campaign.schema import LoadedCampaign, load_campaign
 from hiltestbed.campaign.sweep import case_scenario, planned_chunks

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.campaign.choices import choices_of, in_words, results
+from hiltestbed.campaign.columns import choices_of, in_words, results
 from hiltestbed.campaign.figures import _cells, _edges, heat_maps, with_unit
 from hiltestbed.campaign.schema import LoadedCampaign, Variation, load_campaign
 from hiltestbed.campaign.sweep import Sweep, sweep
@@ -95,7 +95,7 @@ def test_the_worst_of_a_cell_is_the_largest_magnitude_with_its_sign() -> None:
 
 
 def test_choices_that_do_not_complete_come_last() -> None:
-    from hiltestbed.campaign.choices import CaseGroup
+    from hiltestbed.campaign.columns import CaseGroup
 
     first, second = (
         CaseGroup("a", np.array([True, True, False, False])),

@@ -12,12 +12,10 @@ from hiltestbed import load_scenario
 from hiltestbed.bench.contacts import BenchContact, bounce
 from hiltestbed.bench.contenders import CONTENDERS
 from hiltestbed.compensation.force_methods.added_force import bounce as design_bounce
-from hiltestbed.compensation.force_methods.kalman import KalmanBlock, steady_gain
-from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
-from hiltestbed.compensation.force_methods.polynomial import PolynomialBlock
-from hiltestbed.compensation.force_methods.reconstruction import ReconstructionBlock
-from hiltestbed.compensation.force_methods.second_order_lead import SecondOrderLeadBlock
+from hiltestbed.compensation.force_methods.extrapolation import steady_gain
+from hiltestbed.compensation.interfaces import ForceBlock
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.settings import FORCE_METHODS
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import reference_scenario, simulate
 from tests.physics.closed_forms import cor_at_zero_force
@@ -58,10 +56,13 @@ def _error(contact: BenchContact, force: dict[str, object]) -> float:
     return math.log(_cors([contact.scenario(force)])[0] / _cors([reference])[0])
 
 
-def _filtered(
-    method: PhaseLeadBlock | SecondOrderLeadBlock | PolynomialBlock | KalmanBlock,
-    signal: np.ndarray,
-) -> np.ndarray:
+def _block(scenario: Scenario) -> ForceBlock:
+    """The method of a scenario; none of those here needs the numerical model."""
+    kind = scenario.compensation.force.kind
+    return FORCE_METHODS[kind].start([scenario], None)  # type: ignore[arg-type,return-value]
+
+
+def _filtered(method: ForceBlock, signal: np.ndarray) -> np.ndarray:
     nothing, out = np.zeros((1, 7)), np.empty_like(signal)
     for k, value in enumerate(signal):
         wrench = np.full((1, 6), value)
@@ -119,12 +120,11 @@ def test_the_lead_turns_active_at_the_published_threshold() -> None:
 def test_a_lead_of_order_p_errs_by_the_power_p_plus_1(kind: str, order: int) -> None:
     """On a late sine of half the frequency the error is 2^(p+1) times smaller."""
     scenario = _scenario(10.0, 0.0, 0.01, {"kind": kind}, rate=20000.0)
-    method = PhaseLeadBlock if kind == "phase_lead" else SecondOrderLeadBlock
     t, errors = np.arange(0, 2.0, 1.0 / scenario.rate), []
     for w in (12.0, 6.0):
         late = np.sin(w * (t - 0.01))
         errors.append(
-            np.abs(_filtered(method([scenario]), late) - np.sin(w * t))[len(t) // 4 :].max()
+            np.abs(_filtered(_block(scenario), late) - np.sin(w * t))[len(t) // 4 :].max()
         )
     assert errors[0] / errors[1] == pytest.approx(2.0**order, rel=0.15)
 
@@ -134,7 +134,7 @@ def test_a_polynomial_is_extrapolated_exactly(order: int) -> None:
     scenario = _scenario(10.0, 0.0, 0.01, {"kind": "polynomial", "order": order}, rate=1000.0)
     t = np.arange(0.0, 0.5, 1e-3)
     late, now = (t - 0.01) ** order, t**order
-    assert _filtered(PolynomialBlock([scenario]), late)[100:] == pytest.approx(now[100:], rel=1e-9)
+    assert _filtered(_block(scenario), late)[100:] == pytest.approx(now[100:], rel=1e-9)
 
 
 def test_the_smith_predictor_is_stable_and_slightly_convergent_past_the_leads_threshold() -> None:
@@ -221,7 +221,7 @@ def test_after_a_capture_the_reconstruction_is_exact_about_the_latch() -> None:
     """
     keys = {"compensation.force": {"kind": "reconstruction"}, "sensor": {"delay": 0.002}}
     scenario = load_scenario("09-docking", set=keys)
-    block, late = ReconstructionBlock([scenario]), 4
+    block, late = _block(scenario), 4
     stiffness = np.array([5e4, 4e4, 6e4, 900.0, 800.0, 700.0])
     damping = np.array([300.0, 200.0, 400.0, 5.0, 6.0, 7.0])
     lever, spin = np.array([0.02, -0.01, -0.15]), 0.05
@@ -261,9 +261,8 @@ H = 1.0 / 2000.0
 MOVE = np.array([[1.0, H, 0.5 * H * H], [0.0, 1.0, H], [0.0, 0.0, 1.0]])
 
 
-def _block(kind: str, **more: float) -> KalmanBlock | SecondOrderLeadBlock:
-    scenario = _scenario(10.0, 0.0, 0.005, {"kind": kind, **more}, rate=1.0 / H)
-    return KalmanBlock([scenario]) if kind == "kalman" else SecondOrderLeadBlock([scenario])
+def _at_5_ms(kind: str, **more: float) -> ForceBlock:
+    return _block(_scenario(10.0, 0.0, 0.005, {"kind": kind, **more}, rate=1.0 / H))
 
 
 @pytest.mark.parametrize("radius", [2.0 * math.pi * 20.0, 2.0 * math.pi * 300.0])
@@ -298,7 +297,7 @@ def test_a_parabola_is_extrapolated_over_the_delay() -> None:
     force = 3.0 - 40.0 * t + 900.0 * t**2
     late = force.copy()
     late[10:] = force[:-10]  # 5 ms
-    left = _filtered(_block("kalman", bandwidth=60.0), late) - force
+    left = _filtered(_at_5_ms("kalman", bandwidth=60.0), late) - force
     assert np.abs(left[-50:]).max() < 1e-7 * np.abs(force).max()
 
 
@@ -311,9 +310,9 @@ def test_it_lets_less_noise_through_than_a_lead_of_second_order() -> None:
     slow, fast, lead = (
         math.sqrt(np.sum(_filtered(method, pulse) ** 2))
         for method in (
-            _block("kalman", bandwidth=60.0),
-            _block("kalman", bandwidth=150.0),
-            _block("second_order_lead"),
+            _at_5_ms("kalman", bandwidth=60.0),
+            _at_5_ms("kalman", bandwidth=150.0),
+            _at_5_ms("second_order_lead"),
         )
     )
     assert slow < fast < lead

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hiltestbed import load_scenario
-from hiltestbed.identification.coupled import PAIRS, PRODUCTS, take_in_partner
+from hiltestbed.identification.least_squares import PAIRS, PRODUCTS, take_in_partner
 from hiltestbed.identification.methods.rls import Rls
 from hiltestbed.signals import AXES
 

@@ -42,7 +42,7 @@ def test_a_latch_is_found_on_six_axes_as_its_jacobian_has_it() -> None:
     assert found.plant.captured[0]
     assert ideal.plant.captured[0]
     assert found.identification is not None
-    plant = cast(Plant, ideal.plant)
+    plant = cast("Plant", ideal.plant)
     steps = measured(plant, plant.pose_act[0].copy(), np.zeros(3), 1)
     estimates = (found.identification.stiffness, found.identification.damping)
     for estimate, true in zip(estimates, steps, strict=True):

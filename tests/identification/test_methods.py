@@ -11,8 +11,7 @@ from scipy.signal import lfilter
 from hiltestbed.bench.contacts import RATE, BenchContact, bounce, grid
 from hiltestbed.bench.identification import interval_coverage
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
-from hiltestbed.identification.methods.hunt_crossley import HuntCrossleyFit
-from hiltestbed.identification.methods.instrumental import InstrumentVariables
+from hiltestbed.identification.methods.comparison import HuntCrossleyFit, InstrumentVariables
 from hiltestbed.identification.settings import IDENTIFIERS
 
 RESYNCHRONISED = {"kind": "resynchronised"}

@@ -11,10 +11,9 @@ import pytest
 
 from hiltestbed import load_scenario
 from hiltestbed.diagnosis.bridged import kink_errors
-from hiltestbed.measured.clock import check_clock, start_of_run, unrolled
+from hiltestbed.measured.clock import bend, check_clock, start_of_run, to_ticks, unrolled
 from hiltestbed.measured.reading import read_record
 from hiltestbed.measured.record import Record
-from hiltestbed.measured.ticks import bend, to_ticks
 
 TICK = 1e-3
 AT = TICK * np.arange(1000, dtype=np.float64)
@@ -197,7 +196,7 @@ def test_uneven_sampling_and_gaps_are_stated() -> None:
     assert any("unevenly" in r.text for r in check_clock(0, t, TICK, 1.0)[1])
     t = np.delete(AT, slice(300, 350))
     gap = next(r for r in check_clock(0, t, TICK, 1.0)[1] if "gap" in r.text)
-    assert gap.evidence["missing"] == pytest.approx(50)
+    assert "about 50 samples" in gap.text
 
 
 @pytest.mark.parametrize("rows", [0, 1])
@@ -212,7 +211,7 @@ def test_a_clock_that_starts_again_goes_on(period: float) -> None:
     t = period - 0.3 + np.arange(600) * 1e-3
     found, remarks = unrolled(0, np.asarray(t % period, dtype=np.float64))
     np.testing.assert_allclose(found, t, atol=1e-9 * period)
-    assert remarks[0].evidence["period"] == period
+    assert f"from zero at {period:.9g} s" in remarks[0].text
 
 
 def test_a_second_record_in_the_file_is_not_taken_for_one() -> None:

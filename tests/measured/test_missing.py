@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.measured import examine
-from hiltestbed.measured.outliers import outliers
+from hiltestbed.measured.values import outliers
 
 from . import bounce
 

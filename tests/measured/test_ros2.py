@@ -14,8 +14,7 @@ from hiltestbed.axis.dataset import load_axis
 from hiltestbed.config.check import look_at
 from hiltestbed.errors import InputError, MissingExtra
 from hiltestbed.measured import examine
-from hiltestbed.measured.formats import format_of, read_columns
-from hiltestbed.measured.formats.ros2 import data_file
+from hiltestbed.measured.formats import data_file, format_of, read_columns
 from tests.axis import machines
 
 from . import bounce

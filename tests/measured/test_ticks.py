@@ -10,10 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from hiltestbed import load_scenario
-from hiltestbed.measured.clock import UsableRows
+from hiltestbed.measured.clock import UsableRows, as_ticks
 from hiltestbed.measured.noise import digits_of, last_digit
 from hiltestbed.measured.reading import read_record
-from hiltestbed.measured.ticks import as_ticks
 from hiltestbed.measured.values import without_held
 
 TICK, ROWS = 1e-3, 800

@@ -1,5 +1,7 @@
-"""A virtual force in addition to the measured one, tuned or designed until the contact is as
-desired: ``F = F_meas + k_v x + b_v v`` while pz > 0.
+"""A force in addition to the measured one: a virtual contact, a designed damper, or what keeps the
+contact passive.
+
+The first two are ``F = F_meas + k_v x + b_v v`` while pz > 0.
 
 :class:`VirtualContact` is the hybrid contact model of the EPOS rig (M. Zebenay, T. Boge, R. Krenn,
 D. Choukroun, "Analytical and experimental stability investigation of a hardware-in-the-loop
@@ -17,6 +19,19 @@ compensation is found by iteration on that model). Here the contact with the des
 damping and reduced mass is simulated with the delay, and the damper is found that gives the desired
 e, by default the e of the contact without delay. The design covers one mode and one contact,
 without friction, lever arms or a second contact.
+
+:class:`PassivityControl` is the time-domain observer and controller (B. Hannaford, J.-H. Ryu,
+"Time-domain passivity control of haptic interfaces", IEEE T-RA 18, 2002; for contact on such rigs
+M. De Stefano, J. Artigas, C. Secchi et al., EPOS and OOS-SIM, T-RO 2020): ``E_k = sum of h F_used .
+v``, the energy that the simulated contact has taken from the relative motion, must not be negative;
+when it is, ``alpha = -E/(h v^2)`` makes it zero. This is a safety net: it acts only once there is
+excess energy, and any restitution up to 1 passes, correct or not.
+
+:class:`NormalisedPassivity` acts before that (C. Insam, L. D. H. Peiris, D. J. Rixen,
+"Normalized passivity control for hardware-in- the-loop with contact", Int. J. Dynamics and Control
+9, 2021): the power that the transfer system generates, divided by the magnitude of its signals and
+smoothed, sets a damping force. The transfer system here is the sensor's delay, whose power to first
+order is ``(F(t) - F_meas) v ~ tau F_meas' v``.
 """
 
 from __future__ import annotations
@@ -28,18 +43,21 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.interfaces import ForceBlock, KernelBlock
 from hiltestbed.compensation.settings import ForceMethod, Input, force_of
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.contact.directions import acting_along_z
-from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel
     from hiltestbed.scenario import Scenario
+
+STATE: tuple[Input, ...] = ("wrench", "pose", "twist")
+DAMPING_LIMIT = 0.5  # times the damping that would reverse the velocity within one tick
+STEPS = 400  # time steps of the design model per radian of the contact's oscillation: CoR to 2e-3
 
 
 @register
@@ -53,37 +71,19 @@ class VirtualContact(ForceMethod):
         description="Damping of the virtual damper [N s/m]; contact stiffness times delay cancels "
         "the delay to first order"
     )
-    reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist"})
+    reads: ClassVar[frozenset[Input]] = frozenset(STATE)
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> VirtualContactBlock:
-        return VirtualContactBlock(scenarios)
+    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
+        own = force_of(scenarios, cls)
+        stiffness, damping = (
+            np.array([getattr(f, name) for f in own]) for name in ("stiffness", "damping")
+        )
+        return KernelBlock(add_virtual, STATE, stiffness, damping)
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
         # a damper b is equivalent to a lead of b/k
         return {self.kind: self.damping / acting_along_z(scenario)[0]}
-
-
-class VirtualContactBlock:
-    """The virtual force along the insertion, for ``n`` runs."""
-
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        force = force_of(scenarios, VirtualContact)
-        self._stiffness = np.array([f.stiffness for f in force])
-        self._damping = np.array([f.damping for f in force])
-        self.output = np.zeros((len(scenarios), 6))
-
-    def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` sum of the measured and the virtual wrench."""
-        add_virtual(
-            measurement.wrench,
-            measurement.pose,
-            measurement.twist,
-            self._stiffness,
-            self._damping,
-            self.output,
-        )
-        return self.output
 
 
 @njit(cache=True)
@@ -98,10 +98,6 @@ def add_virtual(wrench, pose, twist, stiffness, damping, out):
             out[i, 2] += force
             out[i, 3] += pose[i, 1] * force
             out[i, 4] -= pose[i, 0] * force
-
-
-STEPS = 400  # time steps of the design model per radian of the contact's oscillation
-BISECTIONS = 40
 
 
 @register
@@ -121,37 +117,13 @@ class CorDesigned(ForceMethod):
         description="Desired coefficient of restitution [-]; null: that of the design contact "
         "without delay",
     )
-    reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist"})
+    reads: ClassVar[frozenset[Input]] = frozenset(STATE)
     removes_delay: ClassVar[bool] = True
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> CorDesignedBlock:
-        return CorDesignedBlock(scenarios)
-
-
-class CorDesignedBlock:
-    """The designed damper along the insertion, for ``n`` runs.
-
-    Attributes:
-        damping: ``(n,)`` [N s/m] as designed.
-    """
-
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        self.damping = np.array([designed_damping(s) for s in scenarios])
-        self._stiffness = np.zeros(len(scenarios))
-        self.output = np.zeros((len(scenarios), 6))
-
-    def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` measured wrench plus the force of the designed damper."""
-        add_virtual(
-            measurement.wrench,
-            measurement.pose,
-            measurement.twist,
-            self._stiffness,
-            self.damping,
-            self.output,
-        )
-        return self.output
+    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
+        damping = np.array([designed_damping(s) for s in scenarios])
+        return KernelBlock(add_virtual, STATE, np.zeros(len(scenarios)), damping)
 
 
 def designed_damping(scenario: Scenario) -> float:
@@ -162,7 +134,7 @@ def designed_damping(scenario: Scenario) -> float:
     turn = w * scenario.sensor.delay
     desired = force.cor if force.cor is not None else bounce(z, 0.0, 0.0)
     low, high = 0.0, 1.0 + turn  # bounds, in units of 2 sqrt(k mu)
-    for _ in range(BISECTIONS):
+    for _ in range(40):  # to a part in 1e12
         middle = 0.5 * (low + high)
         if bounce(z, turn, middle) > desired:
             low = middle
@@ -189,3 +161,82 @@ def bounce(z, turn, extra):
         if x <= 0.0 and k > late and forces.max() == 0.0:
             break
     return -v
+
+
+@register
+class PassivityControl(ForceMethod):
+    """Time-domain passivity observer and controller: damping is injected once the contact has
+    returned more energy than it took.
+    """
+
+    kind: Literal["passivity_control"] = "passivity_control"
+    adds_force: ClassVar[bool] = True
+    reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "model"})
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
+        limit = DAMPING_LIMIT / (model.tick * (1.0 / model.mass).sum(axis=1))
+        energy = np.zeros(len(scenarios))  # [J] taken from the relative motion, damping included
+        given = (model.twist, model.tick, limit, energy)
+        return KernelBlock(_observe_and_control, ("wrench",), *given)
+
+
+@register
+class NormalisedPassivity(ForceMethod):
+    """Normalised passivity control: a damping force proportional to the normalised power that the
+    delay generates.
+    """
+
+    kind: Literal["normalised_passivity"] = "normalised_passivity"
+    adds_force: ClassVar[bool] = True
+    gain: NotNegative = Field(
+        default=1.0,
+        description="Gain of the damping force [-]; 1 balances the delay to first order",
+    )
+    smoothing: Positive = Field(
+        default=0.005, description="Time constant of the low-pass on the power [s]"
+    )
+    reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "model"})
+    removes_delay: ClassVar[bool] = True
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
+        h, own = model.tick, force_of(scenarios, cls)
+        gain = np.array([f.gain for f in own])
+        smooth = np.array([1.0 - math.exp(-h / f.smoothing) for f in own])
+        ticks = np.array([s.sensor.delay for s in scenarios]) / h
+        # last force, its smoothed derivative times the delay, smoothed power, smoothed |F v|
+        given = (model.twist, gain, smooth, ticks, np.zeros((len(scenarios), 4)))
+        return KernelBlock(_normalise, ("wrench", "pose"), *given)
+
+
+@njit(cache=True)
+def _observe_and_control(wrench, twist, h, limit, energy, out):
+    for i in range(wrench.shape[0]):
+        speed = twist[i, 0] ** 2 + twist[i, 1] ** 2 + twist[i, 2] ** 2
+        for j in range(6):
+            out[i, j] = wrench[i, j]
+            energy[i] += h * wrench[i, j] * twist[i, j]
+        if energy[i] < 0.0 and speed > 0.0:
+            alpha = min(-energy[i] / (h * speed), limit[i])
+            for j in range(3):
+                out[i, j] += alpha * twist[i, j]
+            energy[i] += h * alpha * speed
+
+
+@njit(cache=True)
+def _normalise(wrench, pose, twist, gain, smooth, delay, memory, out):
+    for i in range(wrench.shape[0]):
+        m = memory[i]
+        force, v = wrench[i, 2], twist[i, 2]
+        m[1] += smooth[i] * (delay[i] * (force - m[0]) - m[1])
+        m[0] = force
+        m[2] += smooth[i] * (m[1] * v - m[2])
+        m[3] += smooth[i] * (abs(force * v) - m[3])
+        ratio = min(max(m[2] / m[3], 0.0), 1.0) if m[3] > 0.0 else 0.0
+        extra = gain[i] * ratio * abs(force) * (1.0 if v > 0.0 else -1.0)
+        for j in range(6):
+            out[i, j] = wrench[i, j]
+        out[i, 2] += extra
+        out[i, 3] += pose[i, 1] * extra
+        out[i, 4] -= pose[i, 0] * extra

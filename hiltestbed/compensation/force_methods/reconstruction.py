@@ -10,6 +10,13 @@ true`` so does the part of it that the Smith predictor's model does not explain.
 
 The impulse of an early wrong estimate is cancelled one delay later, but at another speed, so that
 its energy is not.
+
+After capture all six axes push and pull at once, so there is no single line of action along which
+to predict. On each axis of the latch's reference point ``F = F_meas + k (x - x') + c (v - v')``
+with k and c as identified so far, x and v the pose and twist that the rig reached, now and (primed)
+when the measured force acted; torques are about the reference point. An axis without an estimate
+passes the first-order phase lead. A linear, identified contact is reconstructed exactly, and the
+instant of touch is not needed.
 """
 
 from __future__ import annotations
@@ -20,16 +27,15 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
+from hiltestbed.compensation.force_methods.phase_lead import LAG, PhaseLeadBlock, WithLead
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.resynchronised.captured import CapturedContact, observe
-from hiltestbed.compensation.settings import ForceMethod, Input, force_of
+from hiltestbed.compensation.settings import Input, force_of
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.frames import Array
-from hiltestbed.identification.held import UNTURNED
+from hiltestbed.identification.held import UNTURNED, add_moment, referred
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
@@ -38,7 +44,7 @@ if TYPE_CHECKING:
 
 
 @register
-class Reconstruction(ForceMethod):
+class Reconstruction(WithLead):
     """The measured force plus the change of an identified spring and damper M over the delay:
     F_meas + M(x, v) - M(x, v at t - delay).
 
@@ -46,12 +52,6 @@ class Reconstruction(ForceMethod):
     """
 
     kind: Literal["reconstruction"] = "reconstruction"
-    lead: NotNegative | None = Field(
-        default=None, description="Time constant T1 of the phase lead [s]; null: sensor.delay + lag"
-    )
-    lag: Positive = Field(
-        default=0.0005, description="Time constant T2 of the phase lead's pole [s]"
-    )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist", "identified"})
     removes_delay: ClassVar[bool] = True
 
@@ -59,12 +59,9 @@ class Reconstruction(ForceMethod):
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ReconstructionBlock:
         return ReconstructionBlock(scenarios)
 
-    def memory(self) -> float:
-        return self.lag
-
 
 @register
-class SmithPredictor(ForceMethod):
+class SmithPredictor(WithLead):
     """Smith predictor: the measured force plus the change of a given spring and damper along the
     insertion over the delay.
     """
@@ -79,12 +76,6 @@ class SmithPredictor(ForceMethod):
         description="Whether the part of the force that the predictor does not explain passes the "
         "phase lead",
     )
-    lead: NotNegative | None = Field(
-        default=None, description="Time constant T1 of the phase lead [s]; null: sensor.delay + lag"
-    )
-    lag: Positive = Field(
-        default=0.0005, description="Time constant T2 of the phase lead's pole [s]"
-    )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist"})
 
     @classmethod
@@ -93,9 +84,6 @@ class SmithPredictor(ForceMethod):
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
         return {self.kind: scenario.sensor.delay * self.stiffness / acting_along_z(scenario)[0]}
-
-    def memory(self) -> float:
-        return self.lag
 
 
 class ReconstructionBlock:
@@ -197,3 +185,49 @@ def _spring(pose, twist, stiffness, damping, out):
         out[i, 2] = force
         out[i, 3] = pose[i, 1] * force
         out[i, 4] = -pose[i, 0] * force
+
+
+class CapturedContact:
+    """The wrench of ``n`` captured pairs."""
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        n = len(scenarios)
+        self._lead = PhaseLeadBlock(scenarios, [(s.sensor.delay + LAG, LAG) for s in scenarios])
+        self._ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
+        self._states = History(12, self._ticks)
+        self._state, self._late = np.zeros((n, 12)), np.zeros((n, 12))
+
+    def take_over(self, measurement: Measurement, wrench: Array) -> None:
+        """Replace the rows of ``wrench`` ``(n, 6)`` of the captured runs; call at every tick."""
+        led = self._lead.compensate(measurement)
+        m = measurement
+        observe(m.pose, m.twist, m.lever, UNTURNED, self._state)
+        self._states.remember(self._state)
+        self._states.before(self._ticks, self._late)
+        _reconstruct_held(
+            m.captured, m.wrench, led, self._state, self._late, m.stiffness, m.damping, wrench
+        )
+
+
+@njit(cache=True)
+def observe(pose, twist, lever, reference, out):
+    """``out`` (n, 12): position, rotation vector from ``reference`` (4,) and twist of the point at
+    ``lever`` (n, 3) from A, for ``pose`` (n, 7) and ``twist`` (n, 6) of A.
+    """
+    for i in range(pose.shape[0]):
+        referred(pose[i], twist[i], lever[i], reference, out[i, 0:6], out[i, 6:12])
+
+
+@njit(cache=True)
+def _reconstruct_held(captured, measured, led, now, late, stiffness, damping, wrench):
+    felt, ahead = np.empty(6), np.empty(6)
+    for i in range(captured.shape[0]):
+        if captured[i]:
+            felt[:], ahead[:] = measured[i], led[i]
+            add_moment(-1.0, late[i], felt)
+            add_moment(-1.0, now[i], ahead)
+            for j in range(6):
+                k, c = stiffness[i, j], damping[i, j]
+                change = k * (now[i, j] - late[i, j]) + c * (now[i, 6 + j] - late[i, 6 + j])
+                wrench[i, j] = ahead[j] if np.isnan(k) else felt[j] + change
+            add_moment(1.0, now[i], wrench[i])

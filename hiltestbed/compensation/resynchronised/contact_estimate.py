@@ -30,6 +30,7 @@ import math
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
+from hiltestbed.identification.samples import GATE_SIGMA
 
 # Columns of a run's row in ``law``.
 # DEEPENING [N s/m2] grows with the depth, STOP [N/m] acts beyond the depth KNOT [m]; FITTED says
@@ -76,12 +77,8 @@ from hiltestbed.compiled.jit import njit
 # Columns of ``count``.
 ABOVE, SAMPLES, CONTACTS, COUNT = range(4)
 
-# a sample is in contact if the force exceeds this many standard deviations of its noise
-GATE_SIGMA = 5.0
-GATE_PEAK = 0.02  # and this fraction of the peak so far
-# the same with a low-pass, whose memory of the clipped force at separation would bias c
+# as GATE_PEAK with a low-pass, whose memory of the clipped force at separation would bias c
 GATE_PEAK_FILTERED = 0.3
-FILTER_MEMORY = 3.0  # time constants of the low-pass that are skipped after the touch
 MINIMUM_SAMPLES = 4
 ACCEPTED = 0.25  # relative standard deviation of k below which the law is used
 MODEL_ERROR = 3e-4  # of the peak force: least departure of a real contact from k x + c v

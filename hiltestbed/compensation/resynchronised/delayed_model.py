@@ -14,6 +14,7 @@ from hiltestbed.compensation.resynchronised import contact_estimate as ce
 from hiltestbed.compensation.resynchronised import contact_fit as cf
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import rotation_vector
+from hiltestbed.identification.samples import GATE_PEAK, GATE_SIGMA
 from hiltestbed.numerical_model.kernels import (
     carry,
     relative_motion,
@@ -92,9 +93,9 @@ def identify(i, m, work, rows):
     gate = (
         ce.GATE_PEAK_FILTERED
         if slow and count[ce.ABOVE] > 0 and count[ce.SAMPLES] > 0
-        else ce.GATE_PEAK
+        else GATE_PEAK
     )
-    if y <= ce.GATE_SIGMA * setup.sigma[i, 0] or y <= gate * fit[ce.PEAK]:
+    if y <= GATE_SIGMA * setup.sigma[i, 0] or y <= gate * fit[ce.PEAK]:
         if count[ce.ABOVE] > 0 and not fixed:
             law[ce.ARMED] = 0.0  # the next contact may be elsewhere on the surface
         count[ce.ABOVE] = 0
@@ -340,7 +341,7 @@ def _add_friction(line, law, rate, twist, rig, size, creep, used):
 def _silent(wrench, sigma):
     """Whether a wrench is noise only, and taken as zero so that the model does not drift."""
     for c in range(6 if sigma[0] == 0.0 else 3):
-        if abs(wrench[c]) > ce.GATE_SIGMA * sigma[0]:
+        if abs(wrench[c]) > GATE_SIGMA * sigma[0]:
             return False
     return True
 

@@ -15,8 +15,8 @@ are used:
   wrench, and drawn to the predicted state like a critically damped spring would, so that a
   correction of the prediction does not jerk the platform.
 
-After capture all six axes act at once, and :mod:`hiltestbed.compensation.resynchronised.captured`
-provides the wrench.
+After capture all six axes act at once, and
+:mod:`hiltestbed.compensation.force_methods.reconstruction` provides the wrench.
 
 The delay that the scenario states need not be right: delay and contact are fitted together
 (:mod:`~hiltestbed.compensation.resynchronised.contact_fit`), and a delay that the samples refuse is
@@ -38,9 +38,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.compensation.force_methods.reconstruction import CapturedContact
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.resynchronised import contact_estimate as ce
-from hiltestbed.compensation.resynchronised.captured import CapturedContact
 from hiltestbed.compensation.resynchronised.delayed_model import (
     ANCHOR,
     DONE,
@@ -56,6 +56,7 @@ from hiltestbed.compensation.resynchronised.predictor import predict
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_conj_mul, rotate, rotation_vector
+from hiltestbed.identification.samples import FILTER_MEMORY
 from hiltestbed.numerical_model.kernels import SCRATCH, mobility, solve, wrench_at_A, wrench_at_P
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.sensor.chain import FILTERED, filters_of, high_pass, low_pass
@@ -207,7 +208,7 @@ def _setup(scenarios: Sequence[Scenario], given: Sequence[PredictionParameters],
         weight=np.zeros(n),
         smooth=low_pass(lowpass, h),
         leak=high_pass(leak, h),
-        skip=np.ceil(ce.FILTER_MEMORY * lowpass / h).astype(np.int64),
+        skip=np.ceil(FILTER_MEMORY * lowpass / h).astype(np.int64),
         sigma=np.array([[s.sensor.noise, s.sensor.torque_noise] for s in scenarios]),
         blend=np.array([min(1.0 / f.blending, SYNC_LIMIT / h) for f in given]),
         estimate=np.array([int(f.estimate) for f in given]),

@@ -28,7 +28,7 @@ class Diagnosis(Conclusion):
         return f"Diagnosis({self.name}: {self.verdict}, {causes})"
 
     def _repr_html_(self) -> str:
-        from hiltestbed.run_folder.notebook import html_table
+        from hiltestbed.run_folder.folders import html_table
 
         rows = [
             (cause.effect, name, p.text(), p.unit, f"{cause.probability:.2f}")

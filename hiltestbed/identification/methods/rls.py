@@ -1,5 +1,5 @@
-"""Recursive least squares: on time-aligned samples, on raw samples, and on the force after a phase
-lead.
+"""Recursive least squares, on time-aligned samples, on raw samples, and on the force after a phase
+lead; and no identification.
 """
 
 from __future__ import annotations
@@ -20,16 +20,21 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 
+class Recursive(Identifier):
+    """What the recursions share."""
+
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting"
+    )
+
+
 @register
-class Rls(Identifier):
+class Rls(Recursive):
     """Recursive least squares of k and c on each axis, during contact only, with the pose at the
     time the force acted.
     """
 
     kind: Literal["rls"] = "rls"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
-        default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting"
-    )
     delay: Literal["known", "estimate"] = Field(
         default="known",
         description="Delay of the force. known: sensor.delay is taken as exact; estimate: it is "
@@ -46,15 +51,12 @@ class Rls(Identifier):
 
 
 @register
-class RlsRaw(Identifier):
+class RlsRaw(Recursive):
     """Recursive least squares of k and c on the raw force, with the pose of the same tick: the
     delay biases c.
     """
 
     kind: Literal["rls_raw"] = "rls_raw"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
-        default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting"
-    )
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
@@ -65,15 +67,12 @@ class RlsRaw(Identifier):
 
 
 @register
-class RlsLead(Identifier):
+class RlsLead(Recursive):
     """Recursive least squares of k and c on the force after a first-order phase lead, with the pose
     of the same tick.
     """
 
     kind: Literal["rls_lead"] = "rls_lead"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
-        default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting"
-    )
     lag: Positive = Field(
         default=0.0005,
         description="Time constant T2 of the phase lead's pole [s]; its T1 is sensor.delay + T2",
@@ -92,3 +91,14 @@ class RlsLead(Identifier):
         )
         samples = ContactSamples(scenarios, aligned=False, lead=[o.lag for o in own])
         return RecursiveLeastSquares(samples, [o.forgetting for o in own], lead)
+
+
+@register
+class NoIdentification(Identifier):
+    """Stiffness and damping are not estimated."""
+
+    kind: Literal["none"] = "none"
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario]) -> None:
+        return None

@@ -14,6 +14,7 @@ from hiltestbed.measured.apart import read_apart
 from hiltestbed.measured.columns import Columns, unreadable
 from hiltestbed.measured.data_format import FORMATS, DataFormat
 from hiltestbed.plugins import OneOf
+from hiltestbed.run_folder.folders import is_folder
 
 AnyFormat = Annotated[DataFormat, OneOf(FORMATS)]
 
@@ -44,3 +45,19 @@ def format_of(path: Path) -> DataFormat:
         f"(one of {', '.join(FORMATS)})"
     )
     raise unreadable(path, f"has a format that is not known (got suffix {path.suffix!r})", do)
+
+
+def data_file(path: Path) -> Path:
+    """The file of a run: ``path``, or the only MCAP file of a bag's folder."""
+    files = sorted(path.glob("*.mcap")) if is_folder(path) else []
+    return files[0] if len(files) == 1 else path
+
+
+def no_file(path: Path) -> str:
+    """What to do if ``path`` is no file."""
+    if not is_folder(path):
+        return f"looked for {path}"
+    return (
+        f"{path} is a folder with {len(list(path.glob('*.mcap')))} MCAP files; allowed is a bag "
+        f"with one: `ros2 bag convert` makes it of .db3 files, or of several"
+    )
