@@ -12,15 +12,24 @@ batches.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import importlib
+import io
+import json
 import os
 import sys
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest import mock
 
 import pytest
 
 from hiltestbed import cli, plugins
+from hiltestbed.config import trial
+from hiltestbed.measured import apart
 
 HERE = Path(__file__).parent
 # of glibc
@@ -137,6 +146,24 @@ def tables_as_shipped() -> Iterator[None]:
     plugins._LOADED.update(loaded)
     for refresh in plugins._DEPENDENTS:
         refresh()
+
+
+def _served(module: str, order: dict[str, Any], patience: float) -> SimpleNamespace:
+    """What ``module`` answers to an ``order``, served in this process."""
+    order_in, told = io.TextIOWrapper(io.BytesIO(json.dumps(order).encode())), io.StringIO()
+    with mock.patch("sys.stdin", order_in), contextlib.redirect_stdout(told):
+        importlib.import_module(module)._serve()
+    return SimpleNamespace(stdout=told.getvalue(), returncode=0)
+
+
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Models and logs of the users are read without a process of their own, which is tested for
+    itself.
+    """
+    for module in (trial, apart):
+        monkeypatch.setattr(module, "in_own_process", _served)
+        monkeypatch.setattr(module, "limit_resources", lambda **limits: None)
 
 
 @pytest.fixture

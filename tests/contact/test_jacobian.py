@@ -14,6 +14,7 @@ from hiltestbed.loop import Loop
 from hiltestbed.platform.plant import Plant
 from hiltestbed.signals import AXES
 from tests.running import run
+from tests.slow import slow
 
 STEP = 1e-7  # [m], [rad]
 
@@ -67,7 +68,7 @@ def measured(
 @pytest.mark.parametrize(
     ("name", "until", "loads"),
     [
-        ("16-probe-drogue", 13.0, 2e-3),
+        slow("16-probe-drogue", 13.0, 2e-3),
         ("17-gripper", 8.0, 5e-2),
     ],
 )

@@ -24,7 +24,7 @@ from tests.measured_data import measured_data
 from tests.slow import ALL, SLOW, slow
 
 HIDDEN = [name for name in EFFECTS if name in SIZES]  # learned laws are not drawn
-QUICK = ("platform.scale", "sensor.gain")
+QUICK = ("sensor.gain",)
 SETS = {
     1: (),
     2: ("sensor.delay",),
