@@ -69,7 +69,7 @@ def measured(
     ("name", "until", "loads"),
     [
         slow("16-probe-drogue", 13.0, 2e-3),
-        ("17-gripper", 8.0, 5e-2),
+        slow("17-gripper", 8.0, 5e-2),
     ],
 )
 def test_the_sum_over_the_springs_is_what_the_wrench_says(

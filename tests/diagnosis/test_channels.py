@@ -100,7 +100,7 @@ def partial(
     ("rig", "kept", "noise"),
     [
         pytest.param(DAMPED, MEASURED, 0.0, id="damped, no rates", marks=SLOW),
-        pytest.param(SLIDE, MEASURED, POSE_NOISE, id="slide, noisy pose"),
+        pytest.param(SLIDE, MEASURED, POSE_NOISE, id="slide, noisy pose", marks=SLOW),
         pytest.param(
             SLIDE, (*MEASURED, "pose_cmd"), POSE_NOISE, id="slide, commanded, noisy", marks=SLOW
         ),

@@ -82,7 +82,7 @@ def _between_rows(values: Array) -> Array:
     return shifted(values, -0.46, held=False)
 
 
-@pytest.mark.parametrize("change", [np.copy, _late, _other_noise, _held_back, _between_rows])
+@pytest.mark.parametrize("change", [np.copy, _late, _other_noise, _held_back, slow(_between_rows)])
 def test_where_there_is_none_none_is_found(change: Callable[[Array], Array]) -> None:
     before = forces(3)
     assert low_pass_between([before], [change(before)], [np.ones(ROWS, dtype=bool)]) is None
