@@ -251,12 +251,6 @@ def test_a_delay_counts_beyond_what_stamps_take_back_around_the_loop(
     assert (found == {}) is cause
 
 
-def test_a_whole_tick_of_delay_stays_a_cause_beside_others() -> None:
-    late = ("platform.delay", {"delay": 2.0 * H})
-    found = {"platform": explained(late), "wrench": explained(SOFTER)}
-    assert timing.delays_not_causes(found) == {}
-
-
 @pytest.mark.parametrize(("seed", "latched"), [(810008, False), slow(810066, True)])
 def test_the_noise_of_poses_between_two_samples_is_judged_by_that_of_the_samples(
     tmp_path: Path, seed: int, latched: bool
