@@ -12,15 +12,24 @@ batches.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import importlib
+import io
+import json
 import os
 import sys
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest import mock
 
 import pytest
 
 from hiltestbed import cli, plugins
+from hiltestbed.config import trial
+from hiltestbed.measured import apart
 
 HERE = Path(__file__).parent
 # of glibc
@@ -56,35 +65,31 @@ FIRST = (
     "test_docking.py",  # latches
     "campaign/test_sweep.py",
     "replay/test_simulated.py",
-    "docs/test_gallery.py",
-    "plugins/test_examples.py",
     "docs/test_pages.py",
+    "plugins/test_examples.py",
+    "axis/test_recovery.py",
+    "platform/test_facility_loop.py",
     "test_first_bounce.py",
-    "diagnosis/test_timing.py",
-    "devices/test_commission.py",
-    "diagnosis/test_driven.py",
-    "contact/test_users_mechanism.py",
     "test_cli.py",
     "platform/test_responses.py",
-    "platform/test_facility_loop.py",
+    "platform/test_nine_axes.py",
+    "contact/test_users_mechanism.py",
+    "diagnosis/test_verdict.py",
+    "diagnosis/test_channels.py",
+    "test_jit.py",
     "devices/test_live_faults.py",
+    "devices/test_live.py",
+    "devices/test_fmu.py",
+    "devices/test_commission.py",
+    "replay/test_platform.py",
     "replay/test_wrench.py",
-    "bench/test_docking_sets.py",
-    "robustness/test_world.py",
-    "physics/test_docking_on_two_rigs.py",
-    "diagnosis/test_as_logged.py",
-    "test_stability.py",
-    "devices/test_realtime.py",
     "replay/test_compensation.py",
-    "physics/test_closed_loop.py",
-    "robustness/test_kills.py",
     "bench/test_cor.py",
-    "measured/test_checks.py",
-    "contact/test_jacobian.py",
     "bench/test_facilities.py",
-    "diagnosis/test_learned.py",
-    "contact/test_mount.py",
-    "platform/test_rig_report.py",
+    "identification/test_methods.py",
+    "test_user_files.py",
+    "test_stability.py",
+    "docs/test_gallery.py",
 )
 
 
@@ -137,6 +142,24 @@ def tables_as_shipped() -> Iterator[None]:
     plugins._LOADED.update(loaded)
     for refresh in plugins._DEPENDENTS:
         refresh()
+
+
+def _served(module: str, order: dict[str, Any], patience: float) -> SimpleNamespace:
+    """What ``module`` answers to an ``order``, served in this process."""
+    order_in, told = io.TextIOWrapper(io.BytesIO(json.dumps(order).encode())), io.StringIO()
+    with mock.patch("sys.stdin", order_in), contextlib.redirect_stdout(told):
+        importlib.import_module(module)._serve()
+    return SimpleNamespace(stdout=told.getvalue(), returncode=0)
+
+
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Models and logs of the users are read without a process of their own, which is tested for
+    itself.
+    """
+    for module in (trial, apart):
+        monkeypatch.setattr(module, "in_own_process", _served)
+        monkeypatch.setattr(module, "limit_resources", lambda **limits: None)
 
 
 @pytest.fixture

@@ -276,7 +276,11 @@ def test_a_reader_that_hangs_up_gets_no_traceback(folder: Path) -> None:
     assert process.returncode == 1
 
 
-def test_interrupted_leaves_no_folder_and_no_traceback(folder: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_ended_early_leaves_no_folder_and_no_traceback(
+    folder: Path, call, number: signal.Signals
+) -> None:
+    """And is done when it is called again."""
     long = "--set duration=200 --set approach.velocity=[0,0,0]"
     process = command(*f"run s.yaml --no-rerun --out r {long}".split())
     end = time.monotonic() + 60.0
@@ -285,11 +289,12 @@ def test_interrupted_leaves_no_folder_and_no_traceback(folder: Path) -> None:
         assert time.monotonic() < end
         time.sleep(0.05)
     time.sleep(1.0)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     _, err = process.communicate(timeout=60)
-    assert process.returncode == 1
+    assert process.returncode == (1 if number == signal.SIGINT else -number)
     assert b"Traceback" not in err
     assert not Path("r").exists()
+    assert call(*["run", "s.yaml", "--no-rerun", "--out", "r", "--set", "duration=0.1"])[0] == 0
 
 
 def test_new_writes_a_scenario_that_runs_and_says_what_each_key_means(folder: Path, call) -> None:

@@ -14,6 +14,7 @@ from hiltestbed.analysis.stability import EXACT, RigResponse
 from hiltestbed.analysis.trial import bounce, first_contact
 from hiltestbed.contact.directions import directions
 from tests.running import judged, shipped
+from tests.slow import SLOW
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.3, 0.8])
@@ -128,6 +129,7 @@ def test_the_delay_that_a_bounce_bears() -> None:
         assert again["stable"] is stable, factor
 
 
+@SLOW
 def test_a_prediction_makes_up_for_the_platform_where_it_knows_the_line() -> None:
     """On the first touch the rig makes nothing; on the wall across it does, less than without
     prediction; with feed-forward nowhere.

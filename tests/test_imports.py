@@ -16,6 +16,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 import hiltestbed
+from tests.slow import slow
 
 ROOT = Path(hiltestbed.__file__).parent
 
@@ -137,7 +138,12 @@ def late():
 
 
 @pytest.mark.parametrize(
-    "first", ["replay", "compensation.force_methods.phase_lead", "identification.methods.rls"]
+    "first",
+    [
+        "replay",
+        slow("compensation.force_methods.phase_lead"),
+        slow("identification.methods.rls"),
+    ],
 )
 def test_whatever_is_imported_first_the_table_of_methods_is_whole(first: str) -> None:
     program = (

@@ -16,6 +16,7 @@ from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.simulation import simulate
 
 SCENARIO = "02-bumper"
+SLOWER = {"rate": 2000, "physics_rate": 4000}
 W = math.sqrt(1.0e5 / 400.0)
 
 
@@ -35,7 +36,7 @@ def undelayed(rate: float, physics_rate: float) -> float:
         {"sensor.delay": 0.004, "sensor.lowpass": 40.0},
         {"effects": [{"kind": "sensor.lag", "time_constant": 0.006}]},
         {"effects": [{"kind": "platform.delay", "delay": 0.008}]},
-        {"effects": [{"kind": "dynamics.step_delay", "ticks": 40}]},
+        {"effects": [{"kind": "dynamics.step_delay", "ticks": 10}]},
         {"rate": 1000, "physics_rate": 4000, "effects": [{"kind": "dynamics.integrator"}]},
         {"sensor.delay": 0.008, "compensation.force": {"kind": "phase_lead", "lead": 0.004}},
         {"sensor.delay": 0.008, "compensation.force": {"kind": "second_order_lead"}},
@@ -62,7 +63,7 @@ def undelayed(rate: float, physics_rate: float) -> float:
 )
 def test_every_delay_is_in_the_ledger(changes: dict[str, Any]) -> None:
     """ln(e/e_ref) within 0.01 while w tau <= 0.25; a lag leaves 3 % of it by its gain."""
-    scenario = load_scenario(SCENARIO, set=changes)
+    scenario = load_scenario(SCENARIO, set=SLOWER | changes)
     reference = undelayed(scenario.rate, scenario.physics_rate)
     figures = simulate([scenario]).figures[0]
     assert figures.cor is not None
@@ -97,7 +98,7 @@ FRAME = 4.0e5
 def test_effects_of_the_contact_count_as_the_same_numbers_of_the_mechanism(
     effects: list[dict[str, Any]], stiffness: float, damping: float
 ) -> None:
-    late = {"sensor.delay": 0.004, "compensation.force": {"kind": "none"}}
+    late = SLOWER | {"sensor.delay": 0.004, "compensation.force": {"kind": "none"}}
     same = {"mechanism.contact": {"stiffness": stiffness, "damping": damping}}
     one = load_scenario(SCENARIO, set=late | {"effects": effects})
     other = load_scenario(SCENARIO, set=late | same)

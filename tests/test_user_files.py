@@ -88,6 +88,7 @@ def written(folder: Path, way: str = "beside") -> Path:
     return folder / "mine.yaml"
 
 
+@pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize("way", WAYS)
 def test_a_run_folder_runs_again(tmp_path: Path, way: str) -> None:
     """The same trace and the same hash, wherever the folder is and whatever became of the files."""
@@ -104,6 +105,7 @@ def test_a_run_folder_runs_again(tmp_path: Path, way: str) -> None:
     np.testing.assert_array_equal(trace.run(0)["wrench_true"], first.trace["wrench_true"])
 
 
+@pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize(
     ("file", "old", "new"),
     [

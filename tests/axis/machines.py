@@ -27,7 +27,7 @@ def carriage(
     ``swing``: times the usual travel.
     """
     rng, rate = np.random.default_rng(seed), 500.0
-    t, goal = chirp(16.0, rate, 0.2, 0.9, 0.12)
+    t, goal = chirp(4.0, rate, 0.2, 0.375, 0.12)
     goal = goal + 0.03 * np.sin(2.0 * np.pi * (0.11 + 0.05 * seed) * t)
     goal *= swing
     h = 1.0 / (rate * FINE)

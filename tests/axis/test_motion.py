@@ -102,7 +102,7 @@ def test_an_acceleration_is_compared_with_what_is_averaged_like_it():
 
 
 def test_a_force_that_jumps_gives_back_what_resists_to_a_thousandth():
-    runs = [held(seed) for seed in (0, 1, 2)]
+    runs = [held(seed) for seed in (0, 1)]
     _, causes, c = found("drive", runs, {"mass": 1.0})
     assert set(causes) == set(FOUND)
     force = causes["dynamics.force"].parameters

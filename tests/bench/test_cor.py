@@ -81,9 +81,9 @@ def test_through_the_servo_the_tracking_is_on_record() -> None:
 
 def test_the_boundary_is_where_theory_has_it() -> None:
     """Without compensation e passes 1 at the delay of the closed form: within a step of the grid of
-    delays, a factor of 1.5.
+    delays, a factor of 2.
     """
-    boundary = stability_boundary(10)
+    boundary = stability_boundary(6)
     for frequency, row in zip(boundary["frequency"], boundary["none"], strict=True):
         w = 2.0 * math.pi * frequency
         limit = SpringDamper(w * w, 2.0 * 0.05 * w, 1.0).neutral_delay
@@ -94,8 +94,8 @@ def test_the_boundary_is_where_theory_has_it() -> None:
 
 def test_random_rigs_and_the_page(records: list[dict]) -> None:
     best = next(c for c in CONTENDERS if c.name == "resynchronised" and c.contact == "first")
-    found = statistics_of(measure_random(best, random_rigs(4, seed=3)))
-    assert found["resynchronised"]["rebounded"] == 4
+    found = statistics_of(measure_random(best, random_rigs(2, seed=3)))
+    assert found["resynchronised"]["rebounded"] == 2
     assert found["resynchronised"]["cor_log_error"]["max"] < 0.01
     board = leaderboard(records, {(c.name, c.contact): 0.0 for c in CONTENDERS})
     summary = {"leaderboard": board, "random_rigs": found, "boundary": stability_boundary(3)}

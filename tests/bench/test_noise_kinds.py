@@ -92,14 +92,6 @@ def test_spikes_are_as_many_and_as_large_as_they_say() -> None:
     assert np.std(noise[~far]) == pytest.approx(1.0, rel=0.05)
 
 
-def test_a_converter_gives_whole_steps_of_the_force() -> None:
-    step = NOISE_KINDS["converter_steps"].strengths[-1]
-    read = NOISE_KINDS["converter_steps"](_log(10.3), step, np.random.default_rng(2)).wrench_meas
-    np.testing.assert_allclose(read[:, :3] / step, np.round(read[:, :3] / step), atol=1e-9)
-    assert np.abs(read[:, 2].mean() - 10.3) < 0.5 * step
-    assert len(np.unique(read[:, 3])) > 1000
-
-
 def test_a_tare_is_constant_in_a_run_and_another_in_the_next() -> None:
     offsets = np.array([_noise("tare", 4.0, seed=s).mean(axis=0) for s in range(60)])
     np.testing.assert_allclose(np.std(offsets, axis=0), 4.0 * SIGMA, rtol=0.35)
@@ -157,53 +149,6 @@ def test_held_rows_repeat_the_row_before() -> None:
     assert same.mean() == pytest.approx(0.05, rel=0.15)
     runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]]))))[::2]
     assert runs.max() <= 2 * LONGEST_HOLD
-
-
-def test_the_measured_position_comes_in_steps() -> None:
-    step = NOISE_KINDS["pose_steps"].strengths[-1]
-    log = NOISE_KINDS["pose_steps"](_log(), step, np.random.default_rng(1))
-    np.testing.assert_allclose(
-        log.pose_act[:, :3] / step, np.round(log.pose_act[:, :3] / step), atol=1e-9
-    )
-    assert np.std(log.pose_act[:, 2] - log.pose_cmd[:, 2]) == pytest.approx(
-        step / np.sqrt(12.0), rel=0.05
-    )
-    np.testing.assert_array_equal(log.pose_cmd, _log().pose_cmd)
-
-
-@pytest.mark.parametrize("count", [5, 4])
-def test_digits_are_significant_ones(count: int) -> None:
-    log = NOISE_KINDS["white"](_log(123.456), 1.0, np.random.default_rng(1))
-    rounded = NOISE_KINDS["digits"](log, float(count), np.random.default_rng(1))
-    assert rounded.digits == count
-    force, was = rounded.wrench_meas[:, 2], log.wrench_meas[:, 2]
-    assert np.abs(force / was - 1.0).max() <= 0.5 * 10.0 ** (1 - count) * (1.0 + 1e-9)
-    assert all(len(f"{v:.10g}".replace(".", "").strip("-0")) <= count for v in force[:500])
-    assert (np.diff(rounded.t[:9000]) > 0.0).all()
-
-
-def test_lost_rows_are_as_many_as_it_says_and_the_ends_stay() -> None:
-    log = NOISE_KINDS["lost_rows"](_log(), 0.01, np.random.default_rng(1))
-    assert len(log.t) == pytest.approx(0.99 * ROWS, rel=0.003)
-    assert (log.t[0], log.t[-1]) == (0.0, _log().t[-1])
-    np.testing.assert_allclose(log.pose_act[:, 2], SPEED * log.t, atol=1e-12)
-    assert len(log.wrench_comp) == len(log.t)
-
-
-def test_stamps_jitter_in_order_and_a_clock_runs_fast() -> None:
-    log = NOISE_KINDS["stamp_jitter"](_log(), 0.05, np.random.default_rng(1))
-    assert np.std((log.t - _log().t) * RATE) == pytest.approx(0.05, rel=0.05)
-    assert (np.diff(log.t) > 0.0).all()
-    log = NOISE_KINDS["clock"](_log(), 2e-4, np.random.default_rng(1))
-    assert log.t[-1] / _log().t[-1] - 1.0 == pytest.approx(2e-4, rel=1e-6)
-
-
-@pytest.mark.parametrize("rate", NOISE_KINDS["log_rate"].strengths)
-def test_a_log_at_another_rate_holds_the_same_motion(rate: float) -> None:
-    log = NOISE_KINDS["log_rate"](_log(), rate, np.random.default_rng(1))
-    np.testing.assert_allclose(np.diff(log.t), 1.0 / rate, rtol=1e-6)
-    np.testing.assert_allclose(log.pose_act[:, 2], SPEED * log.t, atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(log.pose_cmd[:, 3:], axis=1), 1.0)
 
 
 def test_every_kind_has_two_strengths_or_more_and_leaves_the_log_that_it_was_given() -> None:

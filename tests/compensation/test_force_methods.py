@@ -120,8 +120,8 @@ def test_the_lead_turns_active_at_the_published_threshold() -> None:
 def test_a_lead_of_order_p_errs_by_the_power_p_plus_1(kind: str, order: int) -> None:
     """On a late sine of half the frequency the error is 2^(p+1) times smaller."""
     scenario = _scenario(10.0, 0.0, 0.01, {"kind": kind}, rate=20000.0)
-    t, errors = np.arange(0, 2.0, 1.0 / scenario.rate), []
-    for w in (12.0, 6.0):
+    t, errors = np.arange(0, 1.0, 1.0 / scenario.rate), []
+    for w in (24.0, 12.0):
         late = np.sin(w * (t - 0.01))
         errors.append(
             np.abs(_filtered(_block(scenario), late) - np.sin(w * t))[len(t) // 4 :].max()

@@ -14,6 +14,7 @@ from hiltestbed.loop import Loop
 from hiltestbed.platform.plant import Plant
 from hiltestbed.signals import AXES
 from tests.running import run
+from tests.slow import slow
 
 STEP = 1e-7  # [m], [rad]
 
@@ -67,8 +68,8 @@ def measured(
 @pytest.mark.parametrize(
     ("name", "until", "loads"),
     [
-        ("16-probe-drogue", 13.0, 2e-3),
-        ("17-gripper", 8.0, 5e-2),
+        slow("16-probe-drogue", 13.0, 2e-3),
+        slow("17-gripper", 8.0, 5e-2),
     ],
 )
 def test_the_sum_over_the_springs_is_what_the_wrench_says(

@@ -19,6 +19,8 @@ from hiltestbed.contact.touch import first_touch
 from hiltestbed.report.run import run_report
 from hiltestbed.scenario import scenario_from
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 K, C = 1e5, 300.0  # of each wall
 SPRING, DAMPER, ROD = 8000.0, 250.0, 3.0  # of the probe's stroke; mass of its rod
 RADIUS = 0.025

@@ -17,6 +17,8 @@ from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import simulate
 from tests.contact.test_any_tree import SCENARIO, cup
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 TETRAHEDRON = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], dtype=float)
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 BOX = 'type="box" size="0.03 0.03 0.03" pos="0 0 -0.03"'

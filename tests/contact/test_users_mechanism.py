@@ -23,6 +23,8 @@ from hiltestbed.simulation import simulate
 from tests.running import run
 from tests.slow import SLOW
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 ACTIVE = """<mujoco><worldbody>
   <geom type="cylinder" size="0.10 0.05" pos="0 0 0.05" contype="0" conaffinity="0"/>
   <geom name="bar" type="box" size="0.16 0.02 0.02" pos="0 0 0.14" contype="1" conaffinity="1"/>
@@ -204,7 +206,7 @@ def test_bad_files_are_refused(folder: Path) -> None:
 
 
 def test_its_folder_replays(folder: Path, tmp_path: Path) -> None:
-    write_run(run(mine(folder, duration=0.2)), tmp_path / "run")
+    write_run(run(mine(folder, duration=0.2)), tmp_path / "run", rerun=False, report=False)
     for file in (folder / "parts").iterdir():
         file.unlink()
     again = load_scenario(tmp_path / "run" / "scenario.yaml")
@@ -274,6 +276,7 @@ def test_a_diagnosis_does_not_judge_what_hangs_on_motion_within_a_tick(folder: P
     assert any("how A moves within a tick" in why for why in found.not_judged.values())
 
 
+@SLOW
 def test_where_copies_agree_on_too_little_contact_and_sensor_are_not_judged(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

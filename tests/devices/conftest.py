@@ -7,18 +7,12 @@ import pytest
 from hiltestbed.devices import realtime
 
 
-@pytest.fixture
-def as_prepared() -> None:
-    """Of the test of that step itself: see below."""
-
-
 @pytest.fixture(autouse=True)
 def memory_and_garbage_are_left_alone(
-    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A live loop locks all memory and collects all garbage before its first cycle: of a whole test
     run both are much, a second each time.
     """
-    if "as_prepared" not in request.fixturenames:
-        monkeypatch.setattr(realtime, "_memory_and_slack", lambda result, undo: None)
-        monkeypatch.setattr(realtime, "_quiet_interpreter", lambda result, undo: None)
+    monkeypatch.setattr(realtime, "_memory_and_slack", lambda result, undo: None)
+    monkeypatch.setattr(realtime, "_quiet_interpreter", lambda result, undo: None)

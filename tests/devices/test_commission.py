@@ -65,9 +65,13 @@ def _apart_deg(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))))
 
 
-def test_a_captured_mechanism_shows_everything_in_six_axes() -> None:
-    result = _measured("13-ring-down", CAPTURED, HIDDEN)
-    found = _effects(result)
+@pytest.fixture(scope="module")
+def captured() -> Commissioned:
+    return _measured("13-ring-down", CAPTURED, HIDDEN)
+
+
+def test_a_captured_mechanism_shows_everything_in_six_axes(captured: Commissioned) -> None:
+    result, found = captured, _effects(captured)
     assert set(found) == {"sensor.gain", "sensor.crosstalk", "platform.delay"}
     assert found["sensor.gain"]["axis"] == "z"
     assert found["sensor.gain"]["factor"] - 1.0 == pytest.approx(0.08, rel=0.01)
@@ -80,16 +84,12 @@ def test_a_captured_mechanism_shows_everything_in_six_axes() -> None:
     assert result.nominal.sensor.noise == pytest.approx(0.1, rel=0.2)
 
 
-@pytest.fixture(scope="module")
-def bumper() -> Commissioned:
-    return _measured("02-bumper", BELIEVED, HIDDEN)
-
-
-def test_a_bumper_shows_what_its_one_direction_can(bumper: Commissioned) -> None:
+@SLOW
+def test_a_bumper_shows_what_its_one_direction_can() -> None:
     """Gain and delays; a leak of the force and a turn look like another turn and a leak of the
     torque, which is said.
     """
-    result = bumper
+    result = _measured("02-bumper", BELIEVED, HIDDEN)
     found = _effects(result)
     assert found["sensor.gain"]["factor"] == pytest.approx(1.08, rel=2e-3)
     assert result.nominal.sensor.delay == pytest.approx(0.0063, rel=0.01)
@@ -160,18 +160,17 @@ def test_where_nothing_is_hidden_nothing_is_found() -> None:
 
 
 def test_the_folder_holds_scenarios_that_load_and_a_dataset_that_the_diagnosis_takes(
-    bumper: Commissioned, tmp_path: Path
+    captured: Commissioned, tmp_path: Path
 ) -> None:
-    folder = write_commission(bumper, tmp_path / "facility")
-    assert load_scenario(folder / "nominal.yaml") == bumper.nominal
+    folder = write_commission(captured, tmp_path / "facility")
+    assert load_scenario(folder / "nominal.yaml") == captured.nominal
     assert load_scenario(folder / "believed.yaml").sensor.delay == 0.002
     assert json.loads((folder / "commission.json").read_text())["sensor"]["sign"] == -1
     dataset = load_dataset(folder / "dataset.yaml")
     assert set(dataset.links()) == {"platform", "contact"}
-    assert len(dataset.runs) == 5
-    pressed = dataset.runs[1].record.data["wrench_meas"]
+    record = dataset.runs[0].record.data
     # a push is positive again, in P: the sign was found
-    assert pressed[:, 2].max() == pytest.approx(108.0, rel=0.02)
+    assert record["pose_act"][:, 2] @ record["wrench_meas"][:, 2] > 0.0
 
 
 def test_unarmed_it_moves_nothing_and_says_so() -> None:

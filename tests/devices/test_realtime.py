@@ -4,8 +4,6 @@ asserted that a busy machine could miss.
 
 from __future__ import annotations
 
-import gc
-import os
 import subprocess
 import sys
 import time
@@ -46,25 +44,33 @@ def test_a_cycle_that_takes_too_long_is_not_made_up_for() -> None:
     assert clock.due[1] - clock.due[0] == pytest.approx((1 + left_out) * 2e6, abs=1)
 
 
-def test_what_is_asked_of_the_system_is_granted_or_refused_and_undone(as_prepared: None) -> None:
-    cpu = min(os.sched_getaffinity(0))
+PREPARED = """
+import gc, os, sys
+from hiltestbed.devices.realtime import prepared
+cpu = min(os.sched_getaffinity(0))
 
-    def settings() -> tuple:
-        scheduling = os.sched_getaffinity(0), os.sched_getscheduler(0)
-        return *scheduling, sys.getswitchinterval(), gc.isenabled(), gc.get_freeze_count()
+def settings():
+    scheduling = os.sched_getaffinity(0), os.sched_getscheduler(0)
+    return *scheduling, sys.getswitchinterval(), gc.isenabled(), gc.get_freeze_count()
 
-    before = settings()
-    with prepared(cpu=cpu, priority=1) as given:
-        asked = {"garbage collector off", "memory locked", f"processor {cpu}", "SCHED_FIFO 1"}
-        assert asked <= set(given.granted) | set(given.refused)
-        assert all(given.refused.values())
-        assert not gc.isenabled()
-        assert gc.get_freeze_count() > 0
-        if "SCHED_FIFO 1" in given.granted:
-            assert os.sched_getscheduler(0) == os.SCHED_FIFO
-        if f"processor {cpu}" in given.granted:
-            assert os.sched_getaffinity(0) == {cpu}
-    assert settings() == before
+before = settings()
+with prepared(cpu=cpu, priority=1) as given:
+    asked = {"garbage collector off", "memory locked", f"processor {cpu}", "SCHED_FIFO 1"}
+    assert asked <= set(given.granted) | set(given.refused)
+    assert all(given.refused.values())
+    assert not gc.isenabled()
+    assert gc.get_freeze_count() > 0
+    if "SCHED_FIFO 1" in given.granted:
+        assert os.sched_getscheduler(0) == os.SCHED_FIFO
+    if f"processor {cpu}" in given.granted:
+        assert os.sched_getaffinity(0) == {cpu}
+assert settings() == before
+"""
+
+
+def test_what_is_asked_of_the_system_is_granted_or_refused_and_undone() -> None:
+    """In a process of its own, which is small: all of its memory is locked."""
+    subprocess.run([sys.executable, "-c", PREPARED], check=True)
 
 
 REFUSED = {

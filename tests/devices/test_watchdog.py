@@ -19,6 +19,7 @@ from hiltestbed.devices.table import platform_client, platform_server
 from hiltestbed.devices.watchdog import Watchdog
 from hiltestbed.errors import InputError
 from tests.devices.running import START, going, until, urls
+from tests.slow import slow
 
 PATIENCE = 20.0  # [s] for a process to start
 TARGET = START + np.array([0.01, 0.0, -0.02, 0.0, 0.0, 0.0, 0.0])
@@ -48,7 +49,7 @@ def _connected(scheme: str) -> Iterator[tuple[Device, PlatformClient]]:
         yield device, client
 
 
-@pytest.mark.parametrize("scheme", ["rsi", "shm"])
+@pytest.mark.parametrize("scheme", ["rsi", slow("shm")])
 def test_a_loop_that_falls_silent_leaves_the_platform_held(scheme: str) -> None:
     with _connected(scheme) as (device, client):
         watchdog = Watchdog(device.url, client, timeout=0.1, action="hold", lasting=1.0)

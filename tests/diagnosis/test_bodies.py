@@ -10,6 +10,7 @@ import pytest
 
 import hiltestbed
 from hiltestbed.diagnosis.report.sentence import rivals_of
+from tests.slow import slow
 
 from .recorded import NOMINAL, recorded
 
@@ -22,7 +23,7 @@ def alike(factor: float) -> float:
     return 1.0 / (CHASER * (1.0 / CHASER + (1.0 / factor - 1.0) / TARGET))
 
 
-@pytest.mark.parametrize("factor", [0.7, 1.3])
+@pytest.mark.parametrize("factor", [0.7, slow(1.3)])
 def test_a_wrong_mass_of_either_body_is_left_open(tmp_path: Path, factor: float) -> None:
     hidden = {"kind": "dynamics.mass", "factor": factor, "body": "target"}
     found = hiltestbed.diagnose(recorded(tmp_path, [hidden], without=UNSEEN))

@@ -99,12 +99,12 @@ def partial(
 @pytest.mark.parametrize(
     ("rig", "kept", "noise"),
     [
-        pytest.param(DAMPED, MEASURED, 0.0, id="damped, no rates"),
-        pytest.param(SLIDE, MEASURED, POSE_NOISE, id="slide, noisy pose"),
+        pytest.param(DAMPED, MEASURED, 0.0, id="damped, no rates", marks=SLOW),
+        pytest.param(SLIDE, MEASURED, POSE_NOISE, id="slide, noisy pose", marks=SLOW),
         pytest.param(
             SLIDE, (*MEASURED, "pose_cmd"), POSE_NOISE, id="slide, commanded, noisy", marks=SLOW
         ),
-        pytest.param(SLIDE, NOT_REACHED, 0.0, id="slide, not reached"),
+        pytest.param(SLIDE, NOT_REACHED, 0.0, id="slide, not reached", marks=SLOW),
         pytest.param(SLIDE, AXIAL, 0.0, id="slide, one axis", marks=SLOW),
         pytest.param(SLIDE, (*POSITIONS, *FORCES), 0.0, id="slide, no attitude"),
         pytest.param(DOCKING, MEASURED, POSE_NOISE, id="docking, noisy pose", marks=SLOW),
@@ -135,6 +135,7 @@ def test_a_late_sensor_is_not_taken_for_a_lag_where_the_path_yields_to_its_readi
     }
 
 
+@SLOW
 def test_noise_on_axes_that_are_not_on_record_is_no_departure_of_the_drives(tmp_path: Path) -> None:
     """All is centred, so that only noise turns A; the legs follow each other, and nanometres across
     the axis show it.
@@ -179,6 +180,7 @@ def test_a_hidden_effect_is_named(
     assert (found.verdict, [c.effect for c in found.causes]) == ("named", [effect["kind"]])
 
 
+@SLOW
 def test_the_noise_of_the_force_is_not_in_the_path_that_yields_to_it(tmp_path: Path) -> None:
     """The noise of a force makes 6 nm of the drives, in path and reading alike: what filters it
     would explain the readings. Under the force of the believed contact, whose mount is softer than
@@ -219,6 +221,7 @@ def test_an_axis_that_a_rig_cannot_move_need_not_be_on_record(tmp_path: Path) ->
         assert ("wrench" in missing) == bool(dropped)
 
 
+@SLOW
 def test_a_compensation_that_hangs_on_the_measured_rate_is_not_judged_by_a_differentiated_one(
     tmp_path: Path,
 ) -> None:

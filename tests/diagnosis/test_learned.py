@@ -20,6 +20,7 @@ from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.result import Heldout, Learned
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario, resolved, scenario_from
+from tests.slow import SLOW
 
 from .made import NOISE, STIFFNESS, H, bounce, effect, platform_link, scenario
 
@@ -91,6 +92,7 @@ def test_a_cubic_spring_is_recovered() -> None:
     assert np.abs(force - 3e9 * x**3).max() < 0.03 * 3e9 * x[-1] ** 3
 
 
+@SLOW
 def test_a_kink_with_a_friction_that_no_effect_has() -> None:
     """A spring of 60 kN/m more past 1 mm, and a force on the way in that is not there on the way
     out.
@@ -121,6 +123,7 @@ def test_the_curve_of_a_sensor_is_told_from_that_of_a_contact_by_other_known_spr
     assert equation(law) is not None
 
 
+@SLOW
 def test_a_run_in_which_nothing_touches_bears_nothing_on_the_curve_of_a_sensor() -> None:
     touched = recorded(linear, lambda f: f - 4e-4 * f**2, springs=(1.0, 1.0, 0.5, 1.0, 2.0)).link
     assert isinstance(touched, WrenchLink)

@@ -198,7 +198,7 @@ def test_the_size_of_a_jitter_is_that_of_its_delays(healthy: MeasuredDataset) ->
     [
         slow(lost(0.1)),
         slow(lost(0.2)),
-        of_the_reading(0.01),
+        slow(of_the_reading(0.01)),
         slow(of_the_reading(0.01, "wrench_comp")),
         known_to_fail(
             spikes(50.0, 1e-3, FORCES), why="a spike bends the baseline that is fitted to its run"
@@ -216,7 +216,7 @@ def test_errors_of_the_log_alone_are_no_departure(tmp_path: Path, change: Change
 @pytest.mark.parametrize(
     ("task", "change"),
     [
-        (FRICTION, lost(0.1)),
+        slow(FRICTION, lost(0.1)),
         known_to_fail(
             FRICTION, of_the_reading(0.01), why="a stiffness lower by 0.1 % is named as well"
         ),

@@ -118,7 +118,7 @@ def test_a_quarter_of_the_information_shows_effects_twice_as_large(
 @pytest.mark.parametrize(
     ("share", "effect", "scale", "verdicts"),
     [
-        (0.1, "contact.dry_friction", 0.5, {"named"}),
+        slow(0.1, "contact.dry_friction", 0.5, {"named"}),
         slow(0.1, "sensor.delay", 0.5, {"named"}),
         slow(0.1, None, 1.0, {"no_discrepancy", "inconclusive"}),
         slow(0.4, "contact.dry_friction", 0.5, {"named", "inconclusive"}),

@@ -21,10 +21,10 @@ from tests.equipment.diagnosis.run import judged_right, one_set
 from tests.equipment.diagnosis.tasks import Task
 from tests.equipment.independent_rig import SIZES
 from tests.measured_data import measured_data
-from tests.slow import ALL, slow
+from tests.slow import ALL, SLOW, slow
 
 HIDDEN = [name for name in EFFECTS if name in SIZES]  # learned laws are not drawn
-QUICK = ("platform.scale", "contact.stiffness", "sensor.gain")  # one of each link that is measured
+QUICK = ("sensor.gain",)
 SETS = {
     1: (),
     2: ("sensor.delay",),
@@ -55,12 +55,14 @@ def test_a_healthy_rig_is_left_alone(seed):
     assert record["causes"] == []
 
 
-@pytest.mark.parametrize("seed", [slow(102), 104])
+@SLOW
+@pytest.mark.parametrize("seed", [102, 104])
 def test_what_has_no_name_is_called_unknown_with_its_link(seed):
     assert one_set(Task(seed, "foreign"))["right"]
 
 
-@pytest.mark.parametrize("number", SETS if ALL else (2,))
+@SLOW
+@pytest.mark.parametrize("number", SETS)
 def test_practice_sets(number):
     folder = measured_data("rig_practice")
     answers = yaml.safe_load((Path(folder) / "answers.yaml").read_text())[f"set_{number}"]

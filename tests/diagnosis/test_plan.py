@@ -14,6 +14,7 @@ from hiltestbed.config.yaml_source import read_source
 from hiltestbed.diagnosis import plan as module
 from hiltestbed.diagnosis.plan import Plan, plan
 from hiltestbed.scenario import Scenario, scenario_from
+from tests.slow import SLOW
 
 from .recorded import NOMINAL, recorded
 
@@ -32,6 +33,7 @@ def sizes(found: Plan) -> dict[str, float | None]:
     return {e.effect: e.smallest for e in found.effects}
 
 
+@SLOW
 def test_what_would_show_grows_with_the_noise(planned: Plan) -> None:
     """Chi-square is (size/noise)^2: twice the noise hides twice the size of what is linear in it."""
     noisier = scenario_from({**NOMINAL, "sensor": {"delay": 0.005, "noise": 0.4}})
@@ -57,6 +59,7 @@ def test_a_spring_tells_a_delay_from_a_damper_and_the_same_run_again_does_not(
     assert frozenset(("sensor.gain", "contact.stiffness")) not in settled
 
 
+@SLOW
 def test_runs_that_are_on_record_give_the_noise(tmp_path: Path) -> None:
     file = recorded(tmp_path, [])
     yaml = YAML(typ="safe")

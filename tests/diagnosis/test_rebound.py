@@ -16,7 +16,7 @@ from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.rebound import speed_noise
 from hiltestbed.measured import load_dataset
 from hiltestbed.scenario import scenario_from
-from tests.slow import slow
+from tests.slow import SLOW, slow
 
 from .recorded import NOMINAL, recorded
 
@@ -48,6 +48,7 @@ def test_a_late_sensor_and_a_late_record_are_told_apart_without_what_the_loop_wa
     assert words.startswith("the rebound decides")
 
 
+@SLOW
 def test_where_no_rebound_is_on_record_both_are_left_open(tmp_path: Path) -> None:
     """The record ends in the contact; the one is then as likely as the other, whatever lies between
     the rows of the log.

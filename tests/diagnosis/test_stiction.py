@@ -13,7 +13,7 @@ import pytest
 from hiltestbed.diagnosis.links import PlatformLink, Timing
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.stiction import Sticking, sticking
-from tests.slow import slow
+from tests.slow import SLOW, slow
 
 from .made import POSE_NOISE, H, bounce, effect, link_run, noisy, platform_link, scenario
 
@@ -149,6 +149,7 @@ def test_a_stick_is_found_where_no_noise_is_left() -> None:
     assert left_by(link, found)[0] == 0.0
 
 
+@SLOW
 def test_a_stick_of_some_three_times_the_noise_is_found_by_all_its_rows() -> None:
     """No row lies six times the noise away; the mean square of them all is twice that of the noise
     and more.

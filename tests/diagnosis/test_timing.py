@@ -50,10 +50,11 @@ def judged(
     ] if hidden else {}
 
 
+@SLOW
 @pytest.mark.parametrize(
     ("channel", "rows", "seed", "links"),
     [
-        slow("pose_cmd", 1.0, 810014, {"platform": -1.0}),
+        ("pose_cmd", 1.0, 810014, {"platform": -1.0}),
         ("wrench_comp", -0.4, 810005, {"compensation": -0.4, "dynamics": 0.4}),
     ],
 )
@@ -80,6 +81,7 @@ def test_instants_within_a_tick_and_a_stamp_of_the_encoder_are_no_departures(
     )
 
 
+@SLOW
 def test_a_late_sensor_is_found_on_the_path_as_it_was_measured(tmp_path: Path) -> None:
     """The command stands half a row late in the record: half a row of the path would be taken off
     the sensor's delay.
@@ -249,13 +251,7 @@ def test_a_delay_counts_beyond_what_stamps_take_back_around_the_loop(
     assert (found == {}) is cause
 
 
-def test_a_whole_tick_of_delay_stays_a_cause_beside_others() -> None:
-    late = ("platform.delay", {"delay": 2.0 * H})
-    found = {"platform": explained(late), "wrench": explained(SOFTER)}
-    assert timing.delays_not_causes(found) == {}
-
-
-@pytest.mark.parametrize(("seed", "latched"), [(810008, False), (810066, True)])
+@pytest.mark.parametrize(("seed", "latched"), [(810008, False), slow(810066, True)])
 def test_the_noise_of_poses_between_two_samples_is_judged_by_that_of_the_samples(
     tmp_path: Path, seed: int, latched: bool
 ) -> None:

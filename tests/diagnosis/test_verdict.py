@@ -119,7 +119,7 @@ def test_what_no_cause_explains_is_unknown_and_what_is_known_elsewhere_is_kept()
         run.measured + 3.0 * (np.sin(2 * np.pi * 40 * t**1.7) * run.touching)[:, None]
         for run in lopsided.runs
     ]
-    e = explained_link(reread(lopsided, wave), *WEIGHED)
+    e = explained_link(reread(lopsided, wave), "contact.stiffness", "contact.damping")
     known = explained(effect("contact.preload", force=6.0))
     verdict = decide(findings(wrench=e, dynamics=known))
     assert (verdict.verdict, verdict.link) == ("unknown", "contact")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+import io
 from pathlib import Path
 from types import ModuleType
 
 import nbformat
 import pytest
 
-from tests.slow import slow
+from tests.slow import SLOW, slow
 
 ROOT = Path(__file__).parents[2]
 GALLERY = ROOT / "examples" / "gallery"
@@ -31,6 +32,27 @@ def module(path: Path) -> ModuleType:
     "path", [slow(p) if p.stem in LONG else p for p in NOTEBOOKS], ids=[p.stem for p in NOTEBOOKS]
 )
 def test_a_notebook_runs_and_ends_in_a_picture(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In this process, where the loops are compiled."""
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    monkeypatch.chdir(tmp_path)
+    pyplot.close("all")
+    namespace: dict[str, object] = {}
+    for cell in nbformat.read(path, as_version=4).cells:
+        if cell.cell_type == "code":
+            # what is run is this repository's own gallery
+            exec(compile(cell.source, path.name, "exec"), namespace)
+    assert pyplot.get_fignums()
+    shown = io.BytesIO()
+    pyplot.savefig(shown)
+    pyplot.close("all")
+    assert len(shown.getvalue()) > BLANK
+
+
+@SLOW
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_a_notebook_shows_its_picture_in_its_kernel(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # the kernel's own shows the picture in the notebook

@@ -16,6 +16,7 @@ from hiltestbed.identification.methods.rls import Rls
 from hiltestbed.loop import Loop
 from hiltestbed.platform.plant import Plant
 from tests.contact.test_jacobian import measured
+from tests.slow import slow
 
 QUIET = {"sensor.noise": 0.0, "sensor.torque_noise": 0.0}
 
@@ -57,7 +58,9 @@ def swing(t: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return size * np.sin(np.outer(t, w)), size * w * np.cos(np.outer(t, w))
 
 
-@pytest.mark.parametrize("scenario", ["15-ring-docking", "16-probe-drogue", "17-gripper"])
+@pytest.mark.parametrize(
+    "scenario", [slow("15-ring-docking"), "16-probe-drogue", slow("17-gripper")]
+)
 def test_the_lever_of_a_latch_is_taken_out(scenario: str) -> None:
     """Each hard capture as a law: K (r - r_hold) + C r' at the site, K radius^2 against turning."""
     loaded = load_scenario(scenario, set=QUIET)

@@ -22,6 +22,7 @@ from . import bounce
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
 
+@pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize("name", WRITERS)
 def test_samples_come_back_as_they_went_in(tmp_path: Path, name: str) -> None:
     table = bounce.columns()
@@ -36,6 +37,7 @@ def test_samples_come_back_as_they_went_in(tmp_path: Path, name: str) -> None:
         assert record.measured(column).all()
 
 
+@pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize("name", ["run.csv", "run.parquet", "run.h5", "run.mf4", "run.tdms"])
 def test_the_unit_that_a_file_states_is_converted(tmp_path: Path, name: str) -> None:
     """Torques in N mm, one table of units for every format."""

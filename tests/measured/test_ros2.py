@@ -19,6 +19,8 @@ from tests.axis import machines
 
 from . import bounce
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
 typesys = pytest.importorskip("rosbags.typesys")
 

@@ -22,6 +22,8 @@ from hiltestbed.measured.units import unit_named
 
 from . import bounce
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 TABLE = bounce.columns()
 WANTED = frozenset(TABLE)
 EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"

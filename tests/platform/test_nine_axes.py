@@ -52,7 +52,7 @@ def relative(t: Array, middle: float = 1.0) -> tuple[Array, Array, Array]:
     return pose, twist, accel
 
 
-def shaken(plant: Plant, seconds: float = 3.0, middle: float = 1.0) -> dict[str, Array]:
+def shaken(plant: Plant, seconds: float = 1.5, middle: float = 1.0) -> dict[str, Array]:
     """What a plant gives on that motion: the reached pose less the one commanded, and the wrench at
     every instant.
     """

@@ -70,7 +70,7 @@ def test_electric_legs_follow_as_a_second_order() -> None:
     rig, w = stewart("electric", bandwidth=25.0, damping_ratio=0.7), 2 * np.pi * 25.0
     legs, mass = leg_terms(rig)
     law = lambda s: (mass * (s**2 + 1.4 * w * s + w**2), w**2 * mass @ legs)  # noqa: E731
-    follows(rig, law, np.linalg.inv(legs), [5.0, 15.0, 25.0, 37.5], [0, 2, 3])
+    follows(rig, law, np.linalg.inv(legs), [15.0, 37.5], [0, 2, 3])
     heave = 1.0 / np.linalg.inv(legs.T @ mass @ legs)[2, 2]
     assert heave == pytest.approx(heave_mass(ARMATURE), rel=0.02)
 
@@ -100,7 +100,7 @@ def test_hydraulic_legs_follow_their_linear_equations_in_all_axes() -> None:
         return mass * s**2 + np.eye(6) * back, flow * legs
 
     # bandwidth 11 Hz at 90 deg
-    follows(rig, law, np.linalg.inv(legs), [4.0, 8.0, 12.0, 17.0], [0, 2, 3])
+    follows(rig, law, np.linalg.inv(legs), [8.0, 17.0], [0, 2, 3])
 
 
 def heave_mass(armature: float) -> float:
@@ -157,7 +157,7 @@ def test_an_arm_follows_as_its_elastic_joints_say(elastic) -> None:
     rig, mass, damping, stiffness, jac = elastic
     motors = stiffness[:, :6] @ np.linalg.inv(jac[:, :6])  # what they are commanded for a pose of A
     law = lambda s: (mass * s**2 + damping * s + stiffness, motors)  # noqa: E731
-    follows(rig, law, jac, [2.0, 4.5, 7.0, 10.0], [0, 2, 4], amplitude=5e-4)
+    follows(rig, law, jac, [4.5, 10.0], [0, 2, 4], amplitude=5e-4)
 
 
 def test_an_arms_first_modes_are_those_of_its_linear_equations(elastic) -> None:
@@ -214,7 +214,7 @@ def test_position_servos_follow_as_their_linear_equations_say() -> None:
     mass, jac = mass[np.ix_(dofs, dofs)], jac[:, dofs]
     kp, kv = np.diag(m.actuator_gainprm[:, 0]), -np.diag(m.actuator_biasprm[:, 2])
     law = lambda s: (mass * s**2 + kv * s + kp, kp @ np.linalg.inv(jac))  # noqa: E731
-    follows(gantry, law, jac, [2.0, 4.0, 6.0], [0, 1, 2])
+    follows(gantry, law, jac, [3.0, 6.0], [0, 1, 2])
 
 
 def test_the_3_3_pss_platform_yields_by_its_gains_and_follows_as_a_second_order() -> None:

@@ -24,6 +24,7 @@ from hiltestbed.effects import EFFECTS
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.scenario import scenario_from
 from tests.diagnosis.recorded import recorded
+from tests.running import run
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
 IDEAL = {"rig.platform.tracking": "ideal"}
@@ -60,7 +61,7 @@ def test_an_effect_acts_as_its_equation_says() -> None:
         "02-bumper",
         **{"mechanism.contact.stiffness": 0.75 * k, "mechanism.contact.damping": 2.0 * c},
     )
-    assert hiltestbed.run(worn).summary["cor"] == hiltestbed.run(other).summary["cor"]
+    assert run(worn).summary["cor"] == run(other).summary["cor"]
 
 
 def test_a_diagnosis_names_an_effect_of_the_users(tmp_path: Path) -> None:
@@ -136,11 +137,11 @@ def test_one_batch_and_many_give_the_same_bytes() -> None:
         for d, n in ((0.002, 3), (0.005, 6))
     ]
     together = hiltestbed.run_batch(scenarios, trace=True)
-    for scenario, run in zip(scenarios, together, strict=True):
-        alone = hiltestbed.run(scenario)
+    for scenario, among in zip(scenarios, together, strict=True):
+        alone = run(scenario)
         assert alone.trace is not None
-        assert run.trace is not None
-        np.testing.assert_array_equal(alone.trace["pose_act"], run.trace["pose_act"])
+        assert among.trace is not None
+        np.testing.assert_array_equal(alone.trace["pose_act"], among.trace["pose_act"])
 
 
 def test_a_mechanism_touches_with_all_of_its_pads() -> None:
@@ -150,13 +151,11 @@ def test_a_mechanism_touches_with_all_of_its_pads() -> None:
     bumper = shipped("02-bumper", **slower)
     contact = bumper.mechanism.contact
     pad = {"stiffness": contact.stiffness / 3.0, "damping": contact.damping / 3.0}
-    pads = hiltestbed.run(
-        shipped("02-bumper", mechanism={"kind": "three_pads", "contact": pad}, **slower)
-    )
-    plain = hiltestbed.run(bumper)
+    pads = run(shipped("02-bumper", mechanism={"kind": "three_pads", "contact": pad}, **slower))
+    plain = run(bumper)
     assert pads.summary["cor"] == pytest.approx(plain.summary["cor"], rel=1e-4)
     assert pads.summary["peak_force"] == pytest.approx(plain.summary["peak_force"], rel=1e-4)
-    tilted = hiltestbed.run(
+    tilted = run(
         shipped(
             "02-bumper",
             mechanism={"kind": "three_pads", "contact": pad},
@@ -173,7 +172,7 @@ def test_a_platform_follows_as_late_as_it_says(tmp_path: Path) -> None:
     ledger predicts what that does to e.
     """
     plugins.load([str(EXAMPLES / "gantry.py")])
-    summary = hiltestbed.run(
+    summary = run(
         shipped(
             "02-bumper", **{"rig.platform": {"kind": "gantry"}, "rate": 2000, "physics_rate": 4000}
         )
@@ -184,18 +183,21 @@ def test_a_platform_follows_as_late_as_it_says(tmp_path: Path) -> None:
     )
 
 
-def test_a_campaign_runs_them_in_worker_processes(tmp_path: Path) -> None:
-    (tmp_path / "c.yaml").write_text(
-        "scenario: s.yaml\nset: {duration: 0.3}\ndesign: {kind: grid}\nvary: {compensation.force: "
-        "{values: [{kind: none}, {kind: slope_lead}]}, sensor.delay: {values: [0.002, 0.004]}}\n"
-    )
-    (tmp_path / "s.yaml").write_text(
-        (hiltestbed.shipped("scenarios") / "02-bumper.yaml").read_text()
-    )
-    options = ["sweep", "c.yaml", "--workers", "2", "--chunk", "1", "--json", "--plugin"]
-    done = command(*options, str(EXAMPLES / "slope_lead.py"), cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["counts"] == {"completed": 4}
+def test_a_campaign_runs_them_in_worker_processes(
+    tmp_path: Path, call: Callable[..., tuple[int, str, str]]
+) -> None:
+    campaign = {
+        "scenario": "02-bumper",
+        "set": {"duration": 0.3},
+        "vary": {"compensation.force": {"values": [{"kind": "none"}, {"kind": "slope_lead"}]}},
+        "design": {"kind": "grid"},
+    }
+    (tmp_path / "c.yaml").write_text(json.dumps(campaign))
+    options = ("--workers", "2", "--chunk", "1", "--out", str(tmp_path / "out"), "--json")
+    plugin = ("--plugin", str(EXAMPLES / "slope_lead.py"))
+    status, told, wrong = call("sweep", str(tmp_path / "c.yaml"), *options, *plugin)
+    assert status == 0, wrong
+    assert json.loads(told)["counts"] == {"completed": 2}
 
 
 def test_an_installed_package_needs_no_option(

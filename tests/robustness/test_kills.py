@@ -13,13 +13,14 @@ from hiltestbed.config.check import look_at
 from hiltestbed.measured import load_dataset
 from tests.equipment.robustness import kills
 from tests.equipment.robustness.kills import COMMANDS, Command, KillError, kill
-from tests.slow import slow
+from tests.slow import SLOW
 
 KILLED, INTERRUPTED = 2, 0  # seeds of a trial that ends a command so, and repeats it
 
 
-@pytest.mark.parametrize("seed", [KILLED, slow(INTERRUPTED)])
-@pytest.mark.parametrize("name", ["run", *(slow(n) for n in COMMANDS if n != "run")])
+@SLOW
+@pytest.mark.parametrize("seed", [KILLED, INTERRUPTED])
+@pytest.mark.parametrize("name", COMMANDS)
 def test_a_command_that_is_ended_leaves_a_whole_folder_or_none(
     name: str, seed: int, tmp_path: Path
 ) -> None:

@@ -68,11 +68,11 @@ def short(seed: int, name: str = "04-bumper-delay-compensated"):
 
 @LINUX
 def test_runs_leave_nothing_behind() -> None:
-    """Half of what thirty runs would grow by if each kept its trace: physics, loop and buffers are
+    """Half of what twenty-one runs would grow by if each kept its trace: physics, loop and buffers are
     larger.
     """
-    most = 0.5 * 30 * size_of(run_batch([short(0)], trace=True)[0])
-    assert grown(lambda i: run_batch([short(i)], trace=True), 30) < most
+    most = 0.5 * 21 * size_of(run_batch([short(0)], trace=True)[0])
+    assert grown(lambda i: run_batch([short(i)], trace=True), 21) < most
 
 
 @LINUX

@@ -20,7 +20,7 @@ from hiltestbed.config.gallery import shipped
 from hiltestbed.run_folder.store import write_run
 from hiltestbed.scenario import load_scenario
 from hiltestbed.simulation import run
-from tests.slow import SLOW
+from tests.slow import SLOW, slow
 
 BUMPER = shipped("scenarios") / "02-bumper.yaml"
 LANGUAGES = {
@@ -58,7 +58,7 @@ def _small_files(size: int) -> Callable[[], None]:
     return before
 
 
-@pytest.mark.parametrize("size", [20_000, 1_000_000])
+@pytest.mark.parametrize("size", [slow(20_000), 1_000_000])
 def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, size: int) -> None:
     """The trace does not fit; and, of a run with a recording, the recording alone."""
     order = short(tmp_path / "r", "--set", "duration=0.4")

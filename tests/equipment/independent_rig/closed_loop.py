@@ -149,11 +149,10 @@ def _loop(links, begin, grid, noise, imposed, keep):
         still = gauge.sense(sensor, noise, k, h, seen, chains, still, used, logged)
         noisy(pose_act[k], noise.pose[k], felt)
         slope(still_pose, felt, h, motion)
-        own = model.relative_twist(bodies, state)
         if k == 0:
-            motion[:3], motion[3:] = velocity, own[3:]
+            motion[:3], motion[3:] = velocity, model.relative_twist(bodies, state)[3:]
         still_pose[:] = felt
-        method.drive(comp, k, used[k], (felt, motion, own), law.latched, h, keep, driven)
+        method.drive(comp, k, used[k], (felt, motion), h, keep, driven)
         comp_out[k] = driven
         model.step(bodies, state, imposed_comp[k] if len(imposed_comp) else driven, h, t, origin)
         model_pose[k + 1] = model.relative_pose(bodies, state)

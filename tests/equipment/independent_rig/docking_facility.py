@@ -18,7 +18,6 @@ from tests.equipment.independent_rig.closed_loop import simulate
 from tests.equipment.independent_rig.cone import Surfaces, clearance
 from tests.equipment.independent_rig.facility import (
     KNOWN,
-    METHODS,
     Facility,
     draw_body,
     known_contact,
@@ -84,23 +83,12 @@ class DockingFacility(Facility):
         return self.peaks[run]
 
 
-def draw_docking_facility(
-    rng: Generator,
-    design: str = "docking",
-    method: str = "phase_lead",
-    needs: frozenset[str] = frozenset(),
-    response=None,
-) -> DockingFacility:
-    """A random docking facility.
-
-    Args:
-        design: docking | mounted (the cone on a compliant mount) | held (a latch from the start).
-        method: the compensation of the force, any of `METHODS`.
-        needs: added to the facility's design. response: (bandwidth [Hz], damping ratio) of the
-            platform; None: ideal tracking.
+def draw_docking_facility(rng: Generator, design: str = "docking") -> DockingFacility:
+    """A random docking facility: docking | mounted (the cone on a compliant mount) | held (a latch
+    from the start).
     """
     for _ in range(100):
-        scenario = _scenario(rng, design, method, response)
+        scenario = _scenario(rng, design)
         touch_time = rng.uniform(0.12, 0.25)
         fast = log_uniform(rng, 0.05, 0.1) if design != "held" else log_uniform(rng, 0.01, 0.04)
         speeds = [rounded(fast * part, 3) for part in SPEEDS]
@@ -128,14 +116,14 @@ def draw_docking_facility(
             pose,
             0.5 * pose,
             touch_time,
-            frozenset({SIX, design}) | needs,
+            frozenset({SIX, design}),
             tuple(peaks),
             spans,
         )
     raise RuntimeError(f"no {design} facility in 100 draws")
 
 
-def _scenario(rng: Generator, design: str, method: str, response) -> dict:
+def _scenario(rng: Generator, design: str) -> dict:
     while True:
         ranges = (300.0, 2000.0), (1000.0, 8000.0), (2e4, 1e5)
         chaser, target, stiffness = (rounded(log_uniform(rng, *ends), 3) for ends in ranges)
@@ -159,10 +147,6 @@ def _scenario(rng: Generator, design: str, method: str, response) -> dict:
         mechanism["latch"] = {"depth": 0.004, "angle_deg": 5.0, "speed": 0.02}
     if design == "mounted":
         mechanism["mount"] = _mount(rng, stiffness)
-    tracking: dict[str, Any] = {"tracking": "ideal"}
-    if response is not None:
-        bandwidth, ratio = map(float, response)
-        tracking = {"tracking": "servo", "bandwidth": bandwidth, "damping_ratio": ratio}
     of_body = (0.3, 0.8), 0.08, (0.8, 1.5)
     return scenario_of(
         DESCRIPTION,
@@ -170,7 +154,7 @@ def _scenario(rng: Generator, design: str, method: str, response) -> dict:
         (draw_body(rng, chaser, 1.0, *of_body), draw_body(rng, target, -1.0, *of_body)),
         (0.05, 0.05),
         mechanism=mechanism,
-        platform=tracking,
+        platform={"tracking": "ideal"},
         sensor={
             "delay": delay,
             "lowpass": None,
@@ -178,7 +162,7 @@ def _scenario(rng: Generator, design: str, method: str, response) -> dict:
             "noise": 0.1,
             "torque_noise": 0.01,
         },
-        compensation={"kind": method, **METHODS[method](rng, stiffness, damping)},
+        compensation={"kind": "phase_lead"},
     )
 
 

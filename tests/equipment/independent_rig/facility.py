@@ -27,26 +27,6 @@ def log_uniform(rng: Generator, low: float, high: float) -> float:
     return float(math.exp(rng.uniform(math.log(low), math.log(high))))
 
 
-METHODS: dict[str, Any] = {
-    "none": lambda rng, k, c: {},
-    "phase_lead": lambda rng, k, c: {},
-    "second_order_lead": lambda rng, k, c: {},
-    "polynomial": lambda rng, k, c: {"order": int(rng.integers(1, 4))},
-    "dead_zone": lambda rng, k, c: {"width": rounded(rng.uniform(0.5, 2.0), 2)},
-    "smith_predictor": lambda rng, k, c: {
-        "stiffness": k,
-        "damping": c,
-        "lead_rest": bool(rng.random() < 0.5),
-    },
-    "virtual_contact": lambda rng, k, c: {
-        "stiffness": 0.0,
-        "damping": rounded(k * rng.uniform(5e-4, 2e-3), 2),
-    },
-    "passivity_control": lambda rng, k, c: {},
-    "reconstruction": lambda rng, k, c: {},
-}  # contents of a scenario's `compensation.force` in addition to its kind
-
-
 @dataclass(frozen=True)
 class Facility:
     """The nominal rig and the test runs of a facility.
@@ -133,9 +113,9 @@ class Facility:
         return max(*far, fastest * (self.touch_time + self.contact_time), 1e-4)
 
 
-def draw_facility(rng: Generator, design: frozenset[str], method: str = "phase_lead") -> Facility:
+def draw_facility(rng: Generator, design: frozenset[str]) -> Facility:
     """A random facility, whose contact is neither too short for its rate nor too fast for its
-    delay; `method` of compensation.
+    delay.
     """
     while True:
         chaser, target = log_uniform(rng, 200.0, 1500.0), log_uniform(rng, 500.0, 10000.0)
@@ -175,11 +155,6 @@ def draw_facility(rng: Generator, design: frozenset[str], method: str = "phase_l
         compensation={"kind": "phase_lead"},
     )
     runs = [_run(rng, i, v, touch_time, design, scenario) for i, v in enumerate(speeds)]
-    if method != "phase_lead":
-        scenario["compensation"]["force"] = {
-            "kind": method,
-            **METHODS[method](rng, stiffness, damping),
-        }
     pose = rng.uniform(1e-6, 2.5e-6)
     return Facility(
         scenario, runs, speeds, rng.uniform(0.01, 0.04), pose, 0.5 * pose, touch_time, design

@@ -203,7 +203,6 @@ RESIZED: dict[str, Draw] = {
 LONGER = {name: FOREIGN[name]._replace(draw=draw) for name, draw in RESIZED.items()}
 
 IN_DOCKING: dict[str, Foreign] = FOREIGN | FURTHER | LONGER
-LEAD_ALONE = ("unknown.slow_pole",)  # effects that act only in a phase lead
 ELSEWHERE = {
     "unknown.oval_cone": CONES,
     "unknown.loaded_friction": CONES,

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.random import Generator
 
 from tests.equipment.independent_rig.closed_loop import simulate
-from tests.equipment.independent_rig.compensation import METHODS
 from tests.equipment.independent_rig.docking_facility import SIX, DockingFacility
 from tests.equipment.independent_rig.facility import Facility
 from tests.equipment.independent_rig.foreign import FOREIGN, IN_DOCKING
@@ -31,7 +30,6 @@ LEAST_LOAD = 0.2  # smallest likewise
 ALL_FOREIGN = FOREIGN | IN_DOCKING
 MODEL_NOISE = 2e-6  # m, reference for pose_cmd, which is computed and has no noise
 RUNS = (1, 3, 4)  # runs that are evaluated
-AMPLIFYING = (METHODS["phase_lead"], METHODS["reconstruction"])
 
 
 def link_of(kind: str) -> str:
@@ -199,10 +197,6 @@ def _strength(
 
 
 def _amplification(rig: Rig) -> float:
-    """Factor by which the method amplifies the noise of a row."""
+    """Factor by which the lead amplifies the noise of a row."""
     comp = rig.compensator
-    # on a plane, a facility without a method is rated as one with a lead
-    unrated = comp.method == METHODS["none"] and rig.docking is None
-    if comp.method not in AMPLIFYING and not unrated:
-        return 1.0
     return (comp.t1 * rig.rate + 1.0) / (comp.t2 * rig.rate + 1.0)

@@ -15,8 +15,8 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 
-LIMITED, LAG, LAG_V, MODE, MODE_V, PLAY, HELD, COMMAND, SLEWED, SLEWED_V, NEAR, NEAR_V = range(12)
-STATES = 12
+LIMITED, LAG, LAG_V, MODE, MODE_V, PLAY, HELD, COMMAND, SLEWED, SLEWED_V = range(10)
+STATES = 10
 # schemes of the filters; AS_COARSE: given by `coarse`
 AS_COARSE, RUNGE_KUTTA, SEMI_IMPLICIT, TRAPEZOIDAL = range(4)
 
@@ -41,8 +41,6 @@ class Platform(NamedTuple):
     # semi-implicit Euler with the command at the end of the sub-step, instead of Runge-Kutta
     coarse: bool = False
     scheme: int = AS_COARSE
-    response_w: float = 0.0  # rad/s of the nominal response, on six axes; 0: ideal tracking
-    response_zeta: float = 1.0
 
 
 @njit(cache=True)
@@ -62,9 +60,9 @@ def initial(start, velocity):
     """States (3, STATES) of a platform at the start pose, moving with the approach velocity."""
     state = np.zeros((3, STATES))
     for a in range(3):
-        for i in (LIMITED, LAG, MODE, PLAY, HELD, SLEWED, NEAR):
+        for i in (LIMITED, LAG, MODE, PLAY, HELD, SLEWED):
             state[a, i] = start[a]
-        state[a, LAG_V] = state[a, MODE_V] = state[a, SLEWED_V] = state[a, NEAR_V] = velocity[a]
+        state[a, LAG_V] = state[a, MODE_V] = state[a, SLEWED_V] = velocity[a]
     return state
 
 
@@ -134,11 +132,6 @@ def follow(platform, state, u0, u1, dt, a):
         before = state[LIMITED]
         state[LIMITED] += min(max(u1 - before, -platform.speed * dt), platform.speed * dt)
         u0, u1 = before, state[LIMITED]
-        rate = (u1 - u0) / dt
-    if platform.response_w > 0.0:
-        before, drive = state[NEAR], (platform.response_w, platform.response_zeta, 0.0)
-        state[NEAR], state[NEAR_V] = respond(platform, before, state[NEAR_V], u0, rate, dt, *drive)
-        u0, u1 = before, state[NEAR]
         rate = (u1 - u0) / dt
     if platform.lag_w > 0.0:
         before = state[LAG]

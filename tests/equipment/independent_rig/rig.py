@@ -30,7 +30,6 @@ BUMPER_TIP = 0.02  # m, radius
 Body = tuple[float, tuple[float, float, float], tuple[float, float, float]]
 CONE_BODY: Body = (CONE_MASS, CONE_INERTIA, CONE_CENTRE)
 BUMPER_BODY: Body = (120.0, (8.0, 8.0, 10.0), (0.0, 0.0, 0.30))  # as in models/bumper/passive.xml
-SIGMAS = 5.0  # force over its noise above which an identification detects a contact
 
 
 def overridden(scenario: dict, changes: dict) -> dict:
@@ -79,38 +78,25 @@ def compensator_of(scenario: dict) -> Compensator:
     delay = float(scenario["sensor"]["delay"])
     t2 = float(force.get("lag", LEAD_T2))
     lead = force.get("lead")
-    masses = [scenario["spacecraft"][body]["mass"] for body in ("chaser", "target")]
     return Compensator(
         delay + t2 if lead is None else float(lead),
         t2,
         method=METHODS[force["kind"]],
         delay=delay,
-        order=int(force.get("order", 3)),
         stiffness=float(force.get("stiffness", 0.0)),
         damping=float(force.get("damping", 0.0)),
-        width=float(force.get("width", 0.0)),
         lead_rest=bool(force.get("lead_rest", False)),
-        inverse_mass=sum(1.0 / float(m) for m in masses),
-        threshold=SIGMAS * float(scenario["sensor"].get("noise", 0.0)),
     )
 
 
 def docking_rig(scenario: dict) -> Rig:
     """The rig of a scenario with all six axes: probe and cone, bumper or latched; rigid or on a
-    mount; ideal tracking or servo.
-
-    A `rig.platform` with tracking `servo` responds to second order with its `bandwidth` [Hz] and
-    `damping_ratio` on every axis.
+    mount; ideal tracking.
     """
     flat = nominal_rig(scenario)
-    mechanism, platform = scenario["mechanism"], scenario["rig"]["platform"]
-    drive = flat.platform
-    if platform["tracking"] == "servo":
-        w, zeta = 2.0 * np.pi * float(platform["bandwidth"]), float(platform["damping_ratio"])
-        drive = drive._replace(response_w=w, response_zeta=zeta)
     contact = flat.contact._replace(latched=False, lever=MIDDLE)
-    docking = _docking(mechanism, contact)
-    return with_held(flat._replace(contact=contact, platform=drive, docking=docking))
+    docking = _docking(scenario["mechanism"], contact)
+    return with_held(flat._replace(contact=contact, docking=docking))
 
 
 def _docking(mechanism: dict, contact: Contact) -> Docking:

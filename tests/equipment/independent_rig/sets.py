@@ -9,9 +9,8 @@ from numpy.random import Generator
 
 from tests.equipment.independent_rig.docking_facility import SIX, draw_docking_facility
 from tests.equipment.independent_rig.facility import Facility, draw_facility, rounded
-from tests.equipment.independent_rig.foreign import FOREIGN, IN_DOCKING, LEAD_ALONE, foreign_in
+from tests.equipment.independent_rig.foreign import FOREIGN, IN_DOCKING, foreign_in
 from tests.equipment.independent_rig.generation import (
-    PLAIN,
     draw_variants,
     link_of,
     record,
@@ -57,7 +56,7 @@ class HiddenSet:
         variants: interpretations of the definitions where they leave a choice: see `draw_variants`.
         runs: the records of each run, with noise, in the order of the facility's runs; logs: their
             logs, as written to files.
-        compensation, noise, nuisances: as requested. rival: for kind alike, the effect that
+        noise, nuisances: as requested. rival: for kind alike, the effect that
             looks like the hidden one.
     """
 
@@ -69,7 +68,6 @@ class HiddenSet:
     variants: dict[str, Any]
     runs: list[Records] = field(repr=False)
     logs: list[Log] = field(repr=False, default_factory=list)
-    compensation: str = "phase_lead"
     noise: tuple[str, float] | None = None
     nuisances: Nuisances = AS_TODAY
     rival: dict[str, Any] | None = None
@@ -83,8 +81,6 @@ class HiddenSet:
         found["design"] = sorted(self.facility.design)
         if self.rival is not None:
             found["rival"] = self.rival
-        if self.compensation != "phase_lead":
-            found["compensation"] = self.compensation
         if self.noise is not None:
             found["noise"] = {"kind": self.noise[0], "strength": self.noise[1]}
         if self.nuisances != AS_TODAY:
@@ -98,13 +94,10 @@ def draw_set(
     names: tuple[str, ...] = (),
     scale: float = 1.0,
     least_strength: float = 3.0,
-    literal: bool = False,
     *,
     design: Design = "bumper",
-    compensation: str = "phase_lead",
     noise: tuple[str, float] | None = None,
     nuisances: Nuisances | None = None,
-    response: tuple[float, float] | None = None,
     twists: bool = False,
     pair: Pair | None = None,
 ) -> HiddenSet:
@@ -115,35 +108,34 @@ def draw_set(
             `kind`.
         scale: of the deviations. With a scale other than 1 the strength is not checked.
         least_strength: below it the set is drawn again, with another facility.
-        literal: the plain interpretation of every definition, no variants.
         design: bumper (three axes, a plane) | docking (probe and cone) | mounted (the cone on a
             compliant mount) | held (latched).
-        compensation: the facility's method, a key of `docking_facility.METHODS`.
         noise: kind and strength of `NOISE_KINDS` instead of the white noise. nuisances: of the
             facility's computation.
-        response: bandwidth [Hz] and damping ratio of the platform, not for the bumper; None: ideal
-            tracking.
         twists: whether the logs contain velocities too.
         pair: for kind alike, the pair of `LOOK_ALIKES`, the first of which is hidden; None: a
             random pair in random order.
 
     Raises:
-        ValueError: an unknown noise, compensation, design or pair, or names that do not act in the
-            design.
+        ValueError: an unknown noise, design or pair, or names that do not act in the design.
     """
     _known(names, design, noise, pair)
     how = nuisances or AS_TODAY
     rival = None
     for attempt in range(FACILITIES):
-        chosen = names or _names(rng, kind, design, compensation, pair)
-        facility = _facility(rng, chosen, design, compensation, response)
+        chosen = names or _names(rng, kind, design, pair)
+        facility = (
+            draw_facility(rng, _design(rng, chosen))
+            if design == "bumper"
+            else draw_docking_facility(rng, design)
+        )
         if kind == "alike":
             both = draw_look_alike(rng, _ordered(chosen), facility, scale)
             hidden, rival = both if both[0]["kind"] == chosen[0] else both[::-1]
             effects = [hidden]
         else:
             effects = draw_effects(rng, chosen, facility, scale)
-        variants = dict(PLAIN) if literal else draw_variants(rng)
+        variants = draw_variants(rng)
         strengths = [strength(facility, effects, i, variants) for i in range(len(effects))]
         if scale == 1.0 and attempt < STRONG_ENOUGH and any(s < least_strength for s in strengths):
             continue
@@ -159,7 +151,6 @@ def draw_set(
                 variants,
                 runs,
                 logs,
-                compensation,
                 noise,
                 how,
                 rival,
@@ -204,29 +195,14 @@ def _known(
         raise ValueError(f"unknown pair {pair!r}; allowed: {allowed}")
 
 
-def _facility(
-    rng: Generator,
-    chosen: tuple[str, ...],
-    design: Design,
-    method: str,
-    response: tuple[float, float] | None,
-) -> Facility:
-    if design == "bumper":
-        return draw_facility(rng, _design(rng, chosen), method)
-    return draw_docking_facility(rng, design, method, frozenset(), response)
-
-
-def _names(
-    rng: Generator, kind: Kind, design: Design, compensation: str, pair: Pair | None
-) -> tuple[str, ...]:
+def _names(rng: Generator, kind: Kind, design: Design, pair: Pair | None) -> tuple[str, ...]:
     if kind == "healthy":
         return ()
     if kind == "alike":
         return _alike_names(rng, design, pair)
     if kind == "foreign":
         table = FOREIGN if design == "bumper" else foreign_in(design)
-        acting = [n for n in table if compensation == "phase_lead" or n not in LEAD_ALONE]
-        return (str(rng.choice(acting)),)
+        return (str(rng.choice(list(table))),)
     names: tuple[str, ...] = ()
     for _ in range({"single": 1, "pair": 2, "triple": 3}[kind]):
         other = [n for n in acting_in(design) if not any(alike(n, name) for name in names)]

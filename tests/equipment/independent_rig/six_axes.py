@@ -180,11 +180,11 @@ def _settle(sides, trail, latched, k, h, timing, stateful, scheme):
 def _follow(platform, commands, aim, velocity, k, h, timing, trail, moving):
     """The platform from t_k to t_(k+1).
 
-    commands: positions, and rotation vectors from the start. moving: states of the axes, pushes at
-        the last two ticks, and rotation with its rate.
+    commands: positions, and rotation vectors from the start. moving: states of the axes, and pushes
+        at the last two ticks.
     """
     node, turned = commands
-    axes, pushed, wheel = moving
+    axes, pushed = moving
     m, length = timing.substeps, len(trail.place)
     dt = h / m
     for i in range(1, m + 1):
@@ -195,21 +195,10 @@ def _follow(platform, commands, aim, velocity, k, h, timing, trail, moving):
         for a in range(3):
             trail.place[j, a] = drive.follow(platform, axes[a], u0[a], u1[a], dt, a)
         trail.place[j, 2] -= platform.give * (pushed[0] + i / m * (pushed[1] - pushed[0]))
-        if platform.response_w > 0.0:
-            w0 = drive.command_at(turned, velocity[3:], t0 - timing.move * h, h)
-            w1 = drive.command_at(turned, velocity[3:], t1 - timing.move * h, h)
-            for a in range(3):
-                rate = (w1[a] - w0[a]) / dt
-                w, zeta = platform.response_w, platform.response_zeta
-                wheel[a, 0], wheel[a, 1] = drive.respond(
-                    platform, wheel[a, 0], wheel[a, 1], w0[a], rate, dt, w, zeta, 0.0
-                )
     trail.attitude[k + 1] = aim
     if timing.move > 0.0:
         late = drive.command_at(turned, velocity[3:], (k + 1.0 - timing.move) * h, h)
         trail.attitude[k + 1] = product(turn(late), trail.attitude[0])
-    if platform.response_w > 0.0:
-        trail.attitude[k + 1] = product(turn(wheel[:, 0].copy()), trail.attitude[0])
     first, last = trail.place[(k * m) % length], trail.place[((k + 1) * m) % length]
     trail.slope[k + 1, :3] = (last - first) / h
     trail.slope[k + 1, 3:] = turn_of(product(trail.attitude[k + 1], inverse(trail.attitude[k]))) / h
@@ -245,8 +234,7 @@ def _loop(links, begin, grid, noise, cuts, keep, trail, stateful):
     touching = np.zeros(ticks, dtype=np.bool_)
     node, turned = np.zeros((ticks + 1, 3)), np.zeros((ticks + 1, 3))
     node[0] = start[:3]
-    axes, wheel, pushed = drive.initial(start[:3], velocity[:3]), np.zeros((3, 2)), np.zeros(2)
-    wheel[:, 1] = velocity[3:]
+    axes, pushed = drive.initial(start[:3], velocity[:3]), np.zeros(2)
     chains = np.zeros((2, gauge.STATES, 6))
     model_pose = np.empty((ticks + 1, 7))
     model_pose[0] = start
@@ -282,8 +270,7 @@ def _loop(links, begin, grid, noise, cuts, keep, trail, stateful):
         if k == 0:
             motion[:] = velocity
         felt_before[:] = felt
-        own = model.relative_twist(bodies, state)
-        method.drive(comp, k, used[k], (felt, motion, own), latched, h, keep, driven)
+        method.drive(comp, k, used[k], (felt, motion), h, keep, driven)
         comp_out[k] = driven
         model.step(bodies, state, cut_comp[k] if len(cut_comp) else driven, h, t, origin)
         model_pose[k + 1] = model.relative_pose(bodies, state)
@@ -295,7 +282,7 @@ def _loop(links, begin, grid, noise, cuts, keep, trail, stateful):
         towards = cut_cmd[k] if len(cut_cmd) else pose_cmd[k]
         node[k + 1] = towards[:3]
         turned[k + 1] = turn_of(product(towards[3:7], inverse(start[3:])))
-        moving = axes, pushed, wheel
+        moving = axes, pushed
         _follow(platform, (node, turned), towards[3:7], velocity, k, h, timing, trail, moving)
         _settle(sides, trail, latched, k, h, timing, stateful, platform.scheme)
         if docking.captures and not latched:
