@@ -247,8 +247,8 @@ def _advice(summary: dict[str, Any]) -> list[str]:
         elif "joint" in str(summary.get("stop_reason")):
             cure = (
                 "Lower the approach speed, or ask less of the drives: `resynchronised` with --set "
-                "compensation.force.blending=0.01, or another compensation (`hiltestbed rank` tries "
-                "all)."
+                "compensation.force.blending=0.01, or another compensation (`hiltestbed rank` "
+                "tries all)."
             )
         else:
             cure = (
