@@ -285,8 +285,9 @@ def _advice(summary: dict[str, Any]) -> list[str]:
             )
         elif "joint" in str(summary.get("stop_reason")):
             cure = (
-                "Lower the approach speed, or take a compensation that asks less of the drives: "
-                "`hiltestbed rank` tries all."
+                "Lower the approach speed, or ask less of the drives: `resynchronised` with --set "
+                "compensation.force.blending=0.01, or another compensation (`hiltestbed rank` "
+                "tries all)."
             )
         else:
             cure = (

@@ -166,9 +166,8 @@ def _bodies(masses: tuple[float, float]) -> mujoco.MjSpec:
     """Two bodies, ``a`` above ``b``, without gravity; an infinite mass stands still."""
     spec = mujoco.MjSpec()
     spec.option.gravity = [0.0, 0.0, 0.0]
-    spec.option.tolerance = (
-        0.0  # by default a heavy body's slow contact counts as converged at once
-    )
+    # by default a heavy body's slow contact counts as converged at once
+    spec.option.tolerance = 0.0
     for name, mass in zip("ab", masses, strict=True):
         body = spec.worldbody.add_body(name=name)
         if math.isfinite(mass):
