@@ -58,14 +58,9 @@ class Comparison:
 
     def rows(self) -> list[list[str]]:
         """Every row as text: the keys that differ, then the figures."""
-        keys = [
-            [key, *("-" if v is None else str(v) for v in values)]
-            for key, values in self.differences.items()
-        ]
-        texts = [
-            [name, *("-" if v is None else str(v) for v in values)]
-            for name, values in self.figures.items()
-            if name in TEXTS
+        texts = self.differences | {n: v for n, v in self.figures.items() if n in TEXTS}
+        words = [
+            [key, *("-" if v is None else str(v) for v in values)] for key, values in texts.items()
         ]
         numbers = [
             [f"{name} [{FIGURES[name]}]" if FIGURES[name] else name, *(number(v) for v in values)]
@@ -73,7 +68,7 @@ class Comparison:
             if name in FIGURES
         ]
         passive = ["energy", *(run.assessment.energy for run in self.runs)]
-        return [*keys, *texts, *numbers, passive]
+        return [*words, *numbers, passive]
 
     def to_pandas(self) -> Any:
         """A DataFrame with one row per run. Raises MissingExtra."""

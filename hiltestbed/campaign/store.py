@@ -31,7 +31,7 @@ from hiltestbed.config.validation import UserFile, user_files
 from hiltestbed.config.yaml_source import dotted, dump_yaml, key_path
 from hiltestbed.errors import InputError, printable
 from hiltestbed.run_folder.folders import parquet_table
-from hiltestbed.run_folder.store import MODELS, keep_file
+from hiltestbed.run_folder.store import MODELS, keep_file, sync
 from hiltestbed.run_folder.versions import provenance
 from hiltestbed.scenario import file_sha256, identity, put, scenario_from
 
@@ -188,9 +188,9 @@ class Store:
                 writer.write_table(
                     _window(files, start, start + ROW_GROUP), row_group_size=ROW_GROUP
                 )
-        _sync(partial)
+        sync(partial)
         partial.replace(self.folder / CASES)
-        _sync(self.folder)
+        sync(self.folder)
 
     def remove_chunks(self) -> None:
         """Deletes the chunks, once cases.parquet contains their rows."""
@@ -272,12 +272,4 @@ def write_whole(path: Path, content: bytes) -> None:
     except OSError as error:
         partial.unlink(missing_ok=True)
         raise OSError(error.errno, error.strerror, str(path)) from None
-    _sync(path.parent)
-
-
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    sync(path.parent)

@@ -10,7 +10,8 @@ from __future__ import annotations
 import difflib
 import re
 import struct
-from collections.abc import Iterable, Sequence, Set
+from collections.abc import Iterable, Iterator, Sequence, Set
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import date
 from itertools import chain
@@ -111,6 +112,15 @@ def column_of(text: str) -> str:
 def unreadable(path: Path, what: str, do: str) -> InputError:
     """The error for a file that cannot be read: what is wrong with it and what to do."""
     return InputError(Fault(str(path), None, None, "", f"{what}; {do}"))
+
+
+@contextmanager
+def whole(path: Path, kind: str, do: str, *own: type[Exception]) -> Iterator[None]:
+    """Refuse a file that its parser cannot read, with an error of its ``own`` or of BROKEN."""
+    try:
+        yield
+    except (*own, *BROKEN) as error:
+        raise unreadable(path, f"is not a whole {kind} file ({error})", do) from error
 
 
 def refuse_large(path: Path, rows: int, columns: int) -> None:

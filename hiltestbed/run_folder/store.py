@@ -61,7 +61,7 @@ def whole_folder(path: Path, mark: str = SUMMARY) -> Iterator[Path]:
         yield beside
         for file in beside.rglob("*"):
             if file.is_file():
-                _sync(file)
+                sync(file)
         beside.chmod(0o755)
         _swap(beside, path)
     except OSError as error:
@@ -129,9 +129,13 @@ def _swap(beside: Path, path: Path) -> None:
         os.rename(beside, path)
 
 
-def _sync(file: Path) -> None:
-    with file.open("rb") as handle:
-        os.fsync(handle.fileno())
+def sync(path: Path) -> None:
+    """Have a file, or the names in a folder, written to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def write_run(run: Run, path: str | Path, *, rerun: bool = True, report: bool = True) -> Path:

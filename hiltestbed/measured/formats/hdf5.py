@@ -15,12 +15,11 @@ import numpy as np
 
 from hiltestbed.errors import MissingExtra
 from hiltestbed.measured.columns import (
-    BROKEN,
     Arrays,
     Columns,
     is_under,
     refuse_large,
-    unreadable,
+    whole,
 )
 from hiltestbed.measured.data_format import DataFormat
 from hiltestbed.plugins import register
@@ -49,13 +48,9 @@ def read_datasets(path: Path, wanted: Set[str], rows: int) -> Columns:
     except ImportError as error:
         raise MissingExtra(f"{path}: HDF5", "hdf5") from error
     arrays = Arrays(rows)
-    try:
-        with h5py.File(path, "r") as file:
-            _collect(arrays, "", file, ())
-            return arrays.columns(path, wanted)
-    except BROKEN as error:
-        what = f"is not a whole HDF5 file ({error})"
-        raise unreadable(path, what, "copy or record it again") from error
+    with whole(path, "HDF5", "copy or record it again"), h5py.File(path, "r") as file:
+        _collect(arrays, "", file, ())
+        return arrays.columns(path, wanted)
 
 
 def _collect(arrays: Arrays, name: str, item: Any, around: tuple[Any, ...]) -> None:
@@ -140,19 +135,16 @@ def _read_version_5(path: Path, wanted: Set[str]) -> Columns:
     import scipy.io
     from scipy.io.matlab import MatReadError
 
-    try:
+    with whole(path, "MATLAB", "save it again, with -v7 or -v7.3", MatReadError):
         variables = {name: shape for name, shape, _ in scipy.io.whosmat(path)}
         used = {v for v in variables if any(is_under(n, v) for n in wanted)}
         needed = [v for v, shape in variables.items() if v in used or shape == (1, 1)]
         refuse_large(path, sum(int(np.prod(variables[v])) for v in needed), 1)
         content = scipy.io.loadmat(path, variable_names=needed, simplify_cells=True)
-    except (MatReadError, *BROKEN) as error:
-        what = f"is not a whole MATLAB file ({error})"
-        raise unreadable(path, what, "save it again, with -v7 or -v7.3") from error
-    arrays = Arrays()
-    for name in needed:
-        _collect_variables(name, content[name], arrays)
-    return arrays.columns(path, wanted, (name for name in variables if name not in needed))
+        arrays = Arrays()
+        for name in needed:
+            _collect_variables(name, content[name], arrays)
+        return arrays.columns(path, wanted, (name for name in variables if name not in needed))
 
 
 def _collect_variables(name: str, value: Any, arrays: Arrays) -> None:

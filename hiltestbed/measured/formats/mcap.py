@@ -19,13 +19,12 @@ import numpy as np
 from hiltestbed.errors import MissingExtra
 from hiltestbed.frames import Array
 from hiltestbed.measured.columns import (
-    BROKEN,
     SAMPLE_LIMIT,
     Columns,
     column_of,
     is_under,
     refuse_large,
-    unreadable,
+    whole,
 )
 from hiltestbed.measured.data_format import DataFormat
 from hiltestbed.plugins import register
@@ -57,7 +56,7 @@ class Mcap(DataFormat):
         decoder = Decoder(path, wanted)
         start: int | None = None
         count = 0
-        try:
+        with whole(path, "MCAP", "copy or record it again", McapError, ZstdError):
             with path.open("rb") as file:
                 for schema, channel, message in make_reader(file).iter_messages():
                     topic, stamp = column_of(channel.topic), None
@@ -78,11 +77,7 @@ class Mcap(DataFormat):
                     # a Python tuple takes about eight times the memory of the number in it
                     if count > SAMPLE_LIMIT // 8:
                         refuse_large(path, count, 8)
-        except (McapError, ZstdError, *BROKEN) as error:
-            raise unreadable(
-                path, f"is not a whole MCAP file ({error})", "copy or record it again"
-            ) from error
-        return _columns(samples, start or 0, decoder)
+            return _columns(samples, start or 0, decoder)
 
 
 def _columns(

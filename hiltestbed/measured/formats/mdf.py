@@ -8,13 +8,13 @@ from typing import Any, ClassVar, Literal
 
 from hiltestbed.errors import MissingExtra
 from hiltestbed.measured.columns import (
-    BROKEN,
     Arrays,
     Columns,
     as_numbers,
     is_under,
     refuse_large,
     unreadable,
+    whole,
 )
 from hiltestbed.measured.data_format import DataFormat
 from hiltestbed.plugins import register
@@ -34,7 +34,7 @@ class Mdf(DataFormat):
             from asammdf.blocks.utils import MdfException
         except ImportError as error:
             raise MissingExtra(f"{path}: MDF4", "mdf") from error
-        try:
+        with whole(path, "MDF", "copy or export it again", MdfException):
             with path.open("rb") as stream, MDF(stream) as file:
                 masters = {index for index in file.masters_db.items()}
                 places = {
@@ -50,10 +50,7 @@ class Mdf(DataFormat):
                 rows = (file.groups[places[n][0][0]].channel_group.cycles_nr for n in here)
                 refuse_large(path, max(rows, default=0), 2 * len(here))
                 signals = {name: file.get(name, *places[name][0]) for name in here}
-        except (MdfException, *BROKEN) as error:
-            what = f"is not a whole MDF file ({error})"
-            raise unreadable(path, what, "copy or export it again") from error
-        return _columns(path, wanted, names, signals)
+            return _columns(path, wanted, names, signals)
 
 
 def _columns(path: Path, wanted: Set[str], names: list[str], signals: dict[str, Any]) -> Columns:

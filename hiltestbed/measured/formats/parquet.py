@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from hiltestbed.measured.columns import (
-    BROKEN,
     Arrays,
     Columns,
     as_numbers,
     is_under,
     match_names,
     refuse_large,
-    unreadable,
+    whole,
 )
 from hiltestbed.measured.data_format import DataFormat
 from hiltestbed.plugins import register
@@ -41,7 +40,7 @@ class Parquet(DataFormat):
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        try:
+        with whole(path, "Parquet", "copy or record it again", pa.ArrowException):
             with pq.ParquetFile(path) as file:
                 names = file.schema_arrow.names
                 places = match_names(path, names, wanted)
@@ -53,9 +52,6 @@ class Parquet(DataFormat):
                 # names may be there twice: whoever maps others need not mind
                 table = file.read([names[k] for k in indices]) if indices else None
             return _columns(path, wanted, names, places, table)
-        except (pa.ArrowException, *BROKEN) as error:
-            what = f"is not a whole Parquet file ({error})"
-            raise unreadable(path, what, "copy or record it again") from error
 
 
 def _columns(

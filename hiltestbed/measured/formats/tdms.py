@@ -14,7 +14,7 @@ import numpy as np
 
 from hiltestbed.errors import MissingExtra
 from hiltestbed.frames import Array
-from hiltestbed.measured.columns import BROKEN, Columns, as_numbers, refuse_large, unreadable
+from hiltestbed.measured.columns import Columns, as_numbers, refuse_large, unreadable, whole
 from hiltestbed.measured.data_format import DataFormat
 from hiltestbed.plugins import register
 
@@ -36,7 +36,7 @@ class Tdms(DataFormat):
         except ImportError as error:
             raise MissingExtra(f"{path}: TDMS", "tdms") from error
         log_manager.set_level(logging.ERROR)  # its warnings quote the bytes that it cannot read
-        try:
+        with whole(path, "TDMS", "copy or export it again"):
             with TdmsFile.open(path) as file:
                 found = [(g.name, c) for g in file.groups() for c in g.channels()]
                 single = Counter(c.name for _, c in found)
@@ -49,10 +49,7 @@ class Tdms(DataFormat):
                 clock, notes = _clocks(path, here)
                 units = {n: str(c.properties[k]) for n, c in here.items() for k in UNIT
                          if k in c.properties}  # fmt: skip
-        except BROKEN as error:
-            what = f"is not a whole TDMS file ({error})"
-            raise unreadable(path, what, "copy or export it again") from error
-        return Columns(tuple(channels), data, clock, units, notes=notes)
+            return Columns(tuple(channels), data, clock, units, notes=notes)
 
 
 def _refuse_unscaled(path: Path, channels: Mapping[str, Any], of_file: Mapping[str, Any]) -> None:
