@@ -186,6 +186,7 @@ SMOOTH = SEALS | {
 }
 
 
+@SLOW
 def test_friction_makes_more_of_a_slow_bounce_and_nothing_without_it_hangs_on_the_speed() -> None:
     """What sticks at a reversal is a length, of which a slow bounce is short; without it drives,
     valves and oil are linear.

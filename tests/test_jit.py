@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import hiltestbed
+from tests.slow import SLOW
 
 LAW = """
 from hiltestbed.compiled.jit import njit
@@ -85,6 +86,7 @@ print(twice({name}(1.5)), sum(twice.stats.cache_hits.values()))
 """
 
 
+@SLOW
 def test_a_kernel_of_a_class_that_is_gone_is_compiled_anew(tmp_path: Path) -> None:
     """Renamed, and then in another module."""
     for module, name, hits in (

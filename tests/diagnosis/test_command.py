@@ -19,6 +19,7 @@ from hiltestbed.diagnosis.report.conclude import conclude
 from hiltestbed.diagnosis.result import Finding
 from hiltestbed.effects import EFFECTS
 from hiltestbed.measured import load_dataset
+from tests.slow import SLOW
 
 from .recorded import recorded
 
@@ -74,6 +75,7 @@ def test_a_folder_with_other_things_is_refused_before_the_work(
     assert [f.name for f in tmp_path.iterdir()] == ["notes.txt"]
 
 
+@SLOW
 def test_progress_says_which_link_of_how_many_and_which_step_is_left(tmp_path: Path) -> None:
     """The links in their order, each begun before it is searched, then the closing steps in
     theirs.

@@ -19,6 +19,7 @@ from hiltestbed import cli
 from hiltestbed.config.check import KINDS, json_schema
 from hiltestbed.effects import EFFECTS
 from hiltestbed.signals import GROUPS
+from tests.slow import slow
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -31,6 +32,7 @@ PAGES = sorted(
     for p in (*DOCS.rglob("*.md"), ROOT / "README.md")
     if any(not b["skip"] for b in BLOCK.finditer(p.read_text()))
 )
+LONG = ("my-data",)  # a diagnosis and its figures
 OPEN = ("view",)  # commands that need a display
 
 
@@ -55,7 +57,11 @@ def pages(reference: ModuleType) -> dict[str, str]:
 
 
 @pytest.mark.usefixtures("tables_as_shipped")
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+@pytest.mark.parametrize(
+    "page",
+    [slow(p) if p.stem in LONG else p for p in PAGES],
+    ids=[str(p.relative_to(ROOT)) for p in PAGES],
+)
 def test_the_blocks_of_a_page_run_one_after_the_other(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -16,7 +16,7 @@ from hiltestbed.identification.methods.rls import Rls
 from hiltestbed.loop import Loop
 from hiltestbed.platform.plant import Plant
 from tests.contact.test_jacobian import measured
-from tests.slow import slow
+from tests.slow import SLOW, slow
 
 QUIET = {"sensor.noise": 0.0, "sensor.torque_noise": 0.0}
 
@@ -99,6 +99,7 @@ def body_rate(vector: np.ndarray, rate: np.ndarray) -> np.ndarray:
     return rate + 0.5 * np.cross(vector, rate)
 
 
+@SLOW
 def test_what_rubs_or_stands_still_is_not_told() -> None:
     """The gripper's jaws share every load, and nothing moves after the clamping."""
     loop = ended("17-gripper", duration=9.0)

@@ -24,6 +24,7 @@ from tests.platform.halls import (
     mass_and_jacobian,
     stewart,
 )
+from tests.slow import SLOW
 
 NO_FRICTION: dict[str, Any] = {
     "friction": {"coulomb": 0.0, "stiction": 0.0, "stribeck_speed": 0.005, "viscous": 0.0}
@@ -217,6 +218,7 @@ def test_position_servos_follow_as_their_linear_equations_say() -> None:
     follows(gantry, law, jac, [3.0, 6.0], [0, 1, 2])
 
 
+@SLOW
 def test_the_3_3_pss_platform_yields_by_its_gains_and_follows_as_a_second_order() -> None:
     """F/(3 kp) along z, kp = m w^2 of a drive's share; without feed-forward w^2/(s + w)^2."""
     stands, f, w = partial(Stand, facility("pss33")), [10.0, 40.0], 2.0 * np.pi * 40.0
