@@ -152,7 +152,7 @@ def test_the_friction_of_a_buffer_that_a_mass_falls_on():
                 v += fine * (9.81 - (20e3 * x + 200.0 * v + 60.0 * np.tanh(v / 1e-4)) / 50.0)
                 x += fine * v
         place, force = np.array(rows).T + [[2e-6], [0.2]] * rng.standard_normal((2, len(rows)))
-        runs.append(AxisRun(f"{speed}", 1e-3 * np.arange(len(rows)), place, force))
+        runs.append(AxisRun(f"{speed}", 1e-3 * np.arange(float(len(rows))), place, force))
     _, causes, _ = found("damper", runs, {"stiffness": 20e3, "damping": 200.0})
     friction = causes["contact.dry_friction"].parameters["force"]
     assert friction[0] == pytest.approx(60.0, rel=0.01)
