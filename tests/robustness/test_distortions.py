@@ -33,9 +33,8 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 
     @cache
     def made(design: str) -> Path:
-        return write_set(
-            folder / design, draw_set(np.random.default_rng(3), "healthy", design=design)
-        )
+        healthy = draw_set(np.random.default_rng(3), "healthy", design=design)  # type: ignore[arg-type]
+        return write_set(folder / design, healthy)
 
     return made
 
