@@ -8,7 +8,6 @@ import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -33,10 +32,9 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     folder = tmp_path_factory.mktemp("good")
 
     @cache
-    def made(design: Any) -> Path:
-        return write_set(
-            folder / design, draw_set(np.random.default_rng(3), "healthy", design=design)
-        )
+    def made(design: str) -> Path:
+        healthy = draw_set(np.random.default_rng(3), "healthy", design=design)  # type: ignore[arg-type]
+        return write_set(folder / design, healthy)
 
     return made
 
