@@ -189,12 +189,17 @@ def with_other_clock(e: Explanation) -> Explanation:
     if not e.model.leaves_noise(late.left):
         return e
     rival = replace(late, evidence=e.fit.evidence)
-    others = [(k, f) for k, f in zip(own.rivals, own.others, strict=True) if k != other.kind]
+    rivals = dict(zip(own.rivals, own.others, strict=True))
+    counted = rivals.pop(other.kind, None)  # as one that may suit the link less
+    odds = 1.0 / own.probability - 1.0
+    if counted is not None:
+        here = e.likelihood.again(e.fit).evidence
+        odds -= math.exp(min(counted.evidence - here, 0.0))
     alike = replace(
         own,
-        rivals=(other.kind, *(k for k, _ in others)),
-        others=(rival, *(f for _, f in others)),
-        probability=own.probability / (1.0 + own.probability),
+        rivals=(other.kind, *rivals),
+        others=(rival, *rivals.values()),
+        probability=1.0 / (2.0 + odds),
     )
     causes = tuple(alike if c is own else c for c in e.causes)
     return replace(e, conclusion=replace(e.conclusion, causes=causes))
