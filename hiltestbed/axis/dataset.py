@@ -27,7 +27,7 @@ from hiltestbed.axis.arm import Arm, ArmModel, ArmRun, read_arm
 from hiltestbed.axis.effects.base import AXIS_EFFECTS, AxisEffect, AxisKind, BodyEffect
 from hiltestbed.axis.models import AxisModel, AxisRun, model_of
 from hiltestbed.axis.motion import noise_of
-from hiltestbed.axis.records import Reading, Signal, read_record
+from hiltestbed.axis.records import RecordFormat, Signal, read_record
 from hiltestbed.config.dataset import Channel
 from hiltestbed.config.validation import Strictly, validate
 from hiltestbed.config.yaml_source import Source, read_source
@@ -255,7 +255,7 @@ def load_axis(path: str | Path | Source, data: bool = True) -> LoadedAxis:
         InputError: with every fault of the file and of its data.
     """
     source = path if isinstance(path, Source) else read_source(path)
-    of_arm = source.data["axis"] == "arm"
+    of_arm = isinstance(source.data, dict) and source.data.get("axis") == "arm"
     spec: AxisDataset | ArmDataset = validate(ArmDataset if of_arm else AxisDataset, source)
     faults = list(_faults(spec, source))
     arm = None
@@ -344,7 +344,7 @@ def _read(
 ) -> tuple[AxisRun | ArmRun, list[str]]:
     path = data_file(source.folder / os.path.expandvars(run.file))
     channels: dict[Any, Channel] = {**spec.channels, **run.channels}
-    how = Reading(channels, run.format or spec.format, spec.rate)
+    how = RecordFormat(channels, run.format or spec.format, spec.rate)
     quantities = QUANTITIES[spec.axis]
     if isinstance(spec, AxisDataset):
         given, reached = (q[spec.rotates] for q in quantities)

@@ -30,7 +30,7 @@ class Signal(NamedTuple):
     held: bool = False
 
 
-class Reading(NamedTuple):
+class RecordFormat(NamedTuple):
     """How a file is read: the mapping of its columns by signal, its format, and the sample rate
     [Hz] where it has no times.
     """
@@ -41,7 +41,7 @@ class Reading(NamedTuple):
 
 
 def read_record(
-    path: Path, signals: Sequence[Signal], how: Reading
+    path: Path, signals: Sequence[Signal], how: RecordFormat
 ) -> tuple[Array, list[Array], list[str]]:
     """Times [s] from 0 (N,) of the last of ``signals``, each signal (N,) at them, and remarks.
 
