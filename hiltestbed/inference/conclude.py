@@ -5,6 +5,7 @@ intervals and rivals.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -312,10 +313,14 @@ def _rivals(
     cause, here = fit.causes[index], likelihood.again(fit)
     others = [c for c in candidates if c.kind != cause.kind or c.place != cause.place]
     close: dict[str, tuple[float, PosteriorFit]] = {}
+
+    def kinds(of: PosteriorFit) -> Counter[str]:
+        return Counter(c.kind for c in of.causes)
+
     for other in extended(likelihood, fewer, others, RIVALS):
         gap = other.evidence - here.evidence
-        kinds = {c.kind for c in other.causes} - {c.kind for c in fit.causes} or {cause.kind}
-        for kind in sorted(kinds):
+        # one of a kind that acts already is another part of it, or a second one beside it
+        for kind in sorted(kinds(other) - kinds(fewer)):
             if gap > -TOLD_APART and (kind not in close or gap > close[kind][0]):
                 close[kind] = (gap, other)
     total = sum(math.exp(min(gap, 0.0)) for gap, _ in close.values())
