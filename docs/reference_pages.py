@@ -35,6 +35,7 @@ def pages() -> dict[str, str]:
         "reference/campaign.md": keys("campaign", "Campaign"),
         "reference/dataset.md": keys("dataset", "Dataset"),
         "reference/axis.md": keys("axis", "Axis"),
+        "reference/arm.md": keys("arm", "Arm"),
         "reference/effects.md": effects(),
         "reference/methods.md": methods(),
         "reference/columns.md": columns(),
@@ -81,7 +82,7 @@ def keys(kind: str, title: str) -> str:
     ]
     lines += _section("the file", schema)
     for name, definition in schema.get("$defs", {}).items():
-        if kind in ("scenario", "axis") and _is_effect(definition):
+        if kind in ("scenario", "axis", "arm") and _is_effect(definition):
             continue  # they have a page of their own
         if "properties" in definition:
             lines += _section(_called(name, definition), definition)
@@ -152,7 +153,7 @@ def effects() -> str:
     lines += [
         "## Of one axis",
         "",
-        "Those of a [drive, a servo or a damper](../tutorials/one-axis.md).",
+        "Those of a [drive, a servo, a damper or an arm](../tutorials/one-axis.md).",
         "",
     ]
     for kind, cls in AXIS_EFFECTS.items():
