@@ -64,9 +64,10 @@ class Arm:
         return [i.toDynamicParameters() for i in list(self.pinocchio.inertias)[1:]]
 
     @property
-    def rotates(self) -> bool:
-        """Whether its joints turn."""
-        return "JointModelP" not in self.pinocchio.joints[1].shortname()
+    def turns(self) -> dict[str, bool]:
+        """Whether a joint turns, or slides, by name."""
+        kinds = [j.shortname() for j in list(self.pinocchio.joints)[1:]]
+        return {n: "JointModelP" not in k for n, k in zip(self.joints, kinds, strict=True)}
 
     def numbers(self) -> ArmNumbers:
         """Its numbers, as the owner believes them."""
@@ -246,6 +247,9 @@ class ArmModel(AxisModel):
                 ways = c.choices * len(self._arm.joints)
                 out.append(replace(c, fixed={**c.fixed, **own}, choices=ways))
         return tuple(out)
+
+    def turns(self, cause: Candidate) -> bool:
+        return self._arm.turns.get(cause.fixed.get("joint", ""), False)
 
     def _of_joint(self, joint: int) -> RecordScale:
         """The orders of magnitude of a joint."""

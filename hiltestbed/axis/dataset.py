@@ -222,10 +222,13 @@ class LoadedAxis:
         return self.spec.name or self.path.parent.resolve().name
 
     def units(self) -> tuple[str, str]:
-        """The SI units of input and output."""
+        """The SI units of input and output; of an arm with joints of both kinds, of either."""
         a, b = QUANTITIES[self.spec.axis]
-        spec, arm = self.spec, self.arm
-        rotates = spec.rotates if isinstance(spec, AxisDataset) else arm is not None and arm.rotates
+        if self.arm is not None:
+            mixed = len(set(self.arm.turns.values())) > 1
+            rotates = next(iter(self.arm.turns.values()))
+            return (" or ".join(a), " or ".join(b)) if mixed else (a[rotates], b[rotates])
+        rotates = isinstance(self.spec, AxisDataset) and self.spec.rotates
         return a[rotates], b[rotates]
 
     def model(self) -> AxisModel:
@@ -358,17 +361,17 @@ def _read(
             )
         return AxisRun(path.name, t, u, y), remarks
     assert arm is not None
-    place, effort = (q[arm.rotates] for q in quantities)
+    places, efforts = quantities
     t, values, remarks = read_record(
         path,
         [
-            *(Signal(f"{j}.input", effort, held=True) for j in arm.joints),
-            *(Signal(f"{j}.position", place) for j in arm.joints),
+            *(Signal(f"{j}.input", efforts[turns], held=True) for j, turns in arm.turns.items()),
+            *(Signal(f"{j}.position", places[turns]) for j, turns in arm.turns.items()),
         ],
         how,
     )
-    inputs, places = np.split(np.array(values), 2)
-    return ArmRun(path.name, t, places.T, inputs.T), remarks
+    inputs, moved = np.split(np.array(values), 2)
+    return ArmRun(path.name, t, moved.T, inputs.T), remarks
 
 
 def _unloaded(u: Array, y: Array) -> int:

@@ -21,6 +21,7 @@ import numpy as np
 from hiltestbed.axis.dataset import LoadedAxis, load_axis
 from hiltestbed.axis.models import AxisModel
 from hiltestbed.axis.result import CLOSE, AxisCause, AxisFinding
+from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import Confirmed, SearchConclusion, conclude
 from hiltestbed.inference.likelihood import Likelihood, independent
@@ -108,7 +109,7 @@ def decide(
     """Verdict, causes, noise floors and remarks."""
     floors = np.maximum(model.floors, model.repeatability())
     null_noise = bool(np.all(c.null.rms() <= CLOSE * floors))
-    causes = merged(c.causes, {x.kind for x in model.candidates()}, model.rotates)
+    causes = merged(c.causes, {x.kind for x in model.candidates()}, model.turns)
     if not causes:
         return ("no_discrepancy" if null_noise else "unknown"), (), floors, ()
     if model.kind != "drive" and float(np.mean(np.log(c.after / constant))) > math.log(
@@ -126,10 +127,11 @@ def decide(
 
 
 def merged(
-    causes: Sequence[Confirmed], searched: set[str], rotates: bool = False
+    causes: Sequence[Confirmed], searched: set[str], turns: Callable[[Candidate], bool]
 ) -> tuple[AxisCause, ...]:
     """The confirmed parts as effects: parts of one effect are one cause. searched: kinds among
-    which it was sought; those that would be the same are its equals.
+    which it was sought; those that would be the same are its equals. turns: whether what an effect
+    acts on turns.
     """
     groups: dict[tuple, list[Confirmed]] = {}
     for number, c in enumerate(causes):
@@ -141,7 +143,7 @@ def merged(
         for part in parts:
             for e in part.estimates:
                 unit = part.cause.effect.unit(e.name)
-                shown = OF_ROTATION.get(unit, unit) if rotates else unit
+                shown = OF_ROTATION.get(unit, unit) if turns(part.cause) else unit
                 parameters[e.name] = (e.value, (e.low, e.high), shown)
         first = parts[0]
         parameters |= {n: (v, None, "") for n, v in first.cause.fixed.items()}

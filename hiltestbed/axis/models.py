@@ -106,6 +106,10 @@ class AxisModel(Model):
     def candidates(self) -> tuple[Candidate, ...]:
         """Every part of every effect that acts on this kind of axis."""
 
+    def turns(self, cause: Candidate) -> bool:
+        """Whether what a cause acts on turns, so that its forces are torques."""
+        return self.rotates
+
     def _parts(self, scale: RecordScale) -> tuple[Candidate, ...]:
         effects = [e for e in AXIS_EFFECTS.values() if self.kind in e.axes]
         return tuple(c for effect in effects for c in effect.parts(scale))

@@ -107,7 +107,8 @@ def test_friction_of_each_joint_and_the_mass_of_a_body_are_found(folder: Path) -
     for joint in COULOMB:
         friction = told["dynamics.force", joint].parameters
         for name, planted in (("coulomb", COULOMB[joint]), ("viscous", VISCOUS[joint])):
-            value, (low, high), _ = friction[name]
+            value, (low, high), unit = friction[name]
+            assert unit == {"coulomb": "N m", "viscous": "N m s/rad"}[name]
             assert value == pytest.approx(planted, rel=0.01)
             assert low < planted < high
     extended = load_axis(found.write(folder / "found") / "extended.yaml").model()

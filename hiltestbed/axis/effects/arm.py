@@ -56,7 +56,7 @@ class ArmArmature(DriveEffect):
     """The rotor of a joint's motor has inertia, which the gear multiplies."""
 
     kind: Literal["dynamics.armature"] = "dynamics.armature"
-    inertia: float = quantity("kg m^2", "Inertia of the rotor at the joint", ge=0.0)
+    inertia: float = quantity("kg", "Inertia of the rotor at the joint", ge=0.0)
     axes = ("arm",)
     equation = "torque += inertia q''"
     reference = "L. Sciavicco, B. Siciliano, L. Villani, Adv. Robot. 10, 1996"
