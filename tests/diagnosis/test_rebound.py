@@ -21,8 +21,7 @@ from tests.slow import SLOW, slow
 from .recorded import NOMINAL, recorded
 
 FORCES = {
-    name: NOMINAL | {"compensation": {"force": {"kind": name}}}
-    for name in ("none", "phase_lead")
+    name: NOMINAL | {"compensation": {"force": {"kind": name}}} for name in ("none", "phase_lead")
 }
 
 
