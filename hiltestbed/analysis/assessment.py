@@ -283,15 +283,12 @@ def _advice(summary: dict[str, Any]) -> list[str]:
                 "Make the delay shorter, or take a compensation that knows it (`hiltestbed rank` "
                 "tries all); a lower approach speed does not help a loop that diverges."
             )
-        elif "joint" in str(summary.get("stop_reason")):
-            cure = (
-                "Lower the approach speed, or ask less of the drives: `resynchronised` with --set "
-                "compensation.force.blending=0.01, or another compensation (`hiltestbed rank` "
-                "tries all)."
-            )
         else:
             cure = (
-                "Lower the approach speed, or raise the limit under `safety` if the rig allows it."
+                "Lower the approach speed, or raise the limit under `safety` if the rig allows it; "
+                "what a drive cannot exert, no limit gives: ask less of it by another compensation "
+                "(`hiltestbed rank` tries all), or `resynchronised` with --set "
+                "compensation.force.blending=0.01."
             )
         return [
             "Replay the last ticks with hiltestbed.replay_failure(FOLDER) and see which quantity "
