@@ -86,8 +86,8 @@ NUMBERS: dict[AxisKind, tuple[str, ...]] = {
 }
 
 
-class AxisRunEntry(Strictly):
-    """One file of measured data."""
+class RunFile(Strictly):
+    """A file of measured data."""
 
     file: Annotated[str, Field(min_length=1)] = Field(
         description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, or a folder of a ROS 2 bag with "
@@ -96,6 +96,11 @@ class AxisRunEntry(Strictly):
     format: AnyFormat | None = Field(
         default=None, description="format of this file, where it differs from the others"
     )
+
+
+class AxisRunEntry(RunFile):
+    """One run of an axis."""
+
     channels: dict[Literal["t", "input", "output"], Channel] = Field(
         default={}, description="channels that are mapped differently in this file"
     )
@@ -122,15 +127,9 @@ class JointNumbers(Strictly):
     )
 
 
-class ArmRunEntry(Strictly):
-    """One file of measured data of an arm."""
+class ArmRunEntry(RunFile):
+    """One run of an arm."""
 
-    file: Annotated[str, Field(min_length=1)] = Field(
-        description="as of a single axis, relative to the folder of this file"
-    )
-    format: AnyFormat | None = Field(
-        default=None, description="format of this file, where it differs from the others"
-    )
     channels: dict[str, Channel] = Field(
         default={}, description="channels that are mapped differently in this file"
     )
@@ -326,6 +325,11 @@ def _faults(spec: AxisDataset | ArmDataset, source: Source) -> Iterator[Fault]:
             yield source.fault(
                 ("nominal",), "lacks mass, the moved mass [kg] or inertia [kg m^2] that is believed"
             )
+        for index, effect in enumerate(spec.effects):
+            for key in {"joint", "body"} & effect.model_fields_set:
+                yield source.fault(
+                    ("effects", index, key), f"is of an arm alone; leave it out of a {spec.axis}"
+                )
     for index, effect in enumerate(spec.effects):
         if spec.axis not in effect.axes:
             kinds = [k for k, e in AXIS_EFFECTS.items() if spec.axis in e.axes]

@@ -86,6 +86,10 @@ def test_what_was_found_is_read_back_and_leaves_nothing_to_find(folder):
         ({"axis": "drive", "nominal": {}}, "lacks mass"),
         ({"axis": "lever"}, "axis"),
         ({"effects": [{"kind": "dynamics.mass", "factor": 2.0}]}, "does not act on a damper"),
+        (
+            {"effects": [{"kind": "dynamics.fade", "rate": 0.1, "joint": "elbow"}]},
+            "is of an arm alone",
+        ),
         ({"effects": [{"kind": "contact.nothing"}]}, "contact.nothing"),
         ({"runs": [{"file": "absent.csv"}]}, "names no file"),
         ({"channels": {"input": {"column": "y"}}}, "names no column"),
