@@ -7,7 +7,7 @@ regressor ``Y`` is Pinocchio's. What acts along each joint beside it is the law 
 
 from __future__ import annotations
 
-import math
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hiltestbed.axis.effects.base import BodyEffect, RecordScale
+from hiltestbed.axis.inverse import InverseRecord, blocks_of, in_motion, rows_of
 from hiltestbed.axis.law import (
     COULOMB,
     COULOMB_BACK,
@@ -27,22 +28,12 @@ from hiltestbed.axis.law import (
     ArmNumbers,
     AxisLaw,
 )
-from hiltestbed.axis.models import AxisModel, AxisRun, along, driven_by, in_motion, rows_of
-from hiltestbed.axis.motion import (
-    Motion,
-    averaged,
-    block_of,
-    blocks,
-    even,
-    motion_of,
-    noise_of,
-    weights_of,
-    window_of,
-)
+from hiltestbed.axis.models import AxisModel, AxisRun, along, largest
+from hiltestbed.axis.motion import Motion, even, motion_of, window_of
 from hiltestbed.effects.search import Candidate
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.inference.model import FEWEST, Hypothesis, Model
+from hiltestbed.inference.model import Hypothesis
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +110,9 @@ def read_arm(path: Path, given: Mapping[str, Mapping[str, float]]) -> Arm:
     try:
         model = _from_urdf(path) if path.suffix.lower() == ".urdf" else _from_mjcf(path)
     except (ValueError, RuntimeError) as error:
-        first = str(error).strip().splitlines()[0]
+        why = str(error).strip().splitlines()[-1].strip().removeprefix("message: ")
         raise InputError(
-            f"{path}: cannot be read as the model of an arm ({first}); allowed are a URDF (.urdf) "
+            f"{path}: cannot be read as the model of an arm ({why}); allowed are a URDF (.urdf) "
             f"and MJCF (any other suffix)"
         ) from None
     joints = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
@@ -181,6 +172,16 @@ class ArmRun(NamedTuple):
     u: Array
 
 
+class _Moved(NamedTuple):
+    """The joints that move in a run, by number, each with its inverse record and the rows of the
+    regressor (N, 10 B) for its torque.
+    """
+
+    joints: list[int]
+    inverse: list[InverseRecord]
+    regressors: list[Array]
+
+
 class ArmModel(AxisModel):
     """The torques, or currents, of an arm for its recorded motion. Each joint of each run is a
     record with noise of its own; runs are left out whole.
@@ -190,59 +191,70 @@ class ArmModel(AxisModel):
 
     def __init__(self, runs: Sequence[ArmRun], arm: Arm, believed: Sequence[Any] = ()) -> None:
         """``believed``: effects that are part of the nominal model."""
-        self._arm, self._runs, self.axes = arm, tuple(runs), len(arm.joints)
+        self._arm, self.axes = arm, len(arm.joints)
+        # a joint that does not move in a run is no record of it
+        moved = [(r, of) for r in runs if (of := self._moved_in(r)).joints]
+        self._runs, self._moved = [r for r, _ in moved], [of for _, of in moved]
+        everything = range(len(arm.joints))
+        each = [(r, of.joints) for r, of in moved] or [(r, everything) for r in runs]
+        names = list(arm.joints)
         records = [
-            AxisRun(f"{r.name}: {joint}", r.t, r.q[:, j], r.u[:, j])
-            for r in runs
-            for j, joint in enumerate(arm.joints)
+            AxisRun(f"{r.name}: {names[j]}", r.t, r.q[:, j], r.u[:, j])
+            for r, joints in each
+            for j in joints
         ]
         super().__init__(records, {}, believed=believed)
+
+    @property
+    def recorded(self) -> tuple[str, ...]:
+        return tuple(r.name for r in self._runs)
 
     def on(self, runs: Sequence[int]) -> ArmModel:
         return ArmModel([self._runs[i] for i in runs], self._arm, self.believed)
 
-    def folds(self) -> list[tuple[str, Model, Model]]:
-        count = len(self._runs)
-        if count < FEWEST:
-            return self.stretch_folds()
-        rest = [[j for j in range(count) if j != i] for i in range(count)]
-        return [(r.name, self.on(rest[i]), self.on([i])) for i, r in enumerate(self._runs)]
+    def of_recorded(self) -> list[list[int]]:
+        ends = np.cumsum([0, *(len(of.joints) for of in self._moved)])
+        return [list(range(a, b)) for a, b in itertools.pairwise(ends)]
 
     def _prepare(self) -> None:
-        self._motions: list[list[Motion]] = []
-        self._sizes: list[int] = []
-        self._regressors, self._inputs, self._slopes, self._moves, floors = [], [], [], [], []
-        for r in self._runs:
-            t, *signals = even(r.t, *r.q.T, *r.u.T)
-            count = r.q.shape[1]
-            window = min(map(window_of, signals[:count]))
-            motions = [motion_of(t, q, window) for q in signals[:count]]
-            few, shaken = rows_of(motions[0]), np.array([m.shaken for m in motions])
-            inertia = self._arm.inertia(np.median(r.q, axis=0))
-            size, lowered = max(block_of(m, few.step) for m in motions)
+        self.floors = np.array([x.floor for x in self._inverse])
+
+    def _moved_in(self, r: ArmRun) -> _Moved:
+        t, *signals = even(r.t, *r.q.T, *r.u.T)
+        count = r.q.shape[1]
+        window = min(map(window_of, signals[:count]))
+        motions = [motion_of(t, q, window) for q in signals[:count]]
+        own = [blocks_of(m) for m in motions]
+        joints = [
+            j
+            for j, (m, b) in enumerate(zip(motions, own, strict=True))
+            if in_motion(m)[rows_of(m)].sum() // b.rows >= self.stretches
+        ]
+        # the torque of a joint takes the accelerations of all that move
+        blocks = max((own[j] for j in joints), default=own[0])
+        shaken = np.array([m.shaken for m in motions])
+        inertia = self._arm.inertia(np.median(r.q, axis=0))
+        inverse = [
+            InverseRecord.of(m, u, float(np.linalg.norm(row * shaken)) / own["gain"], blocks)
             for m, u, row, own in zip(
                 motions, signals[count:], inertia, self._arm.joints.values(), strict=True
-            ):
-                driven, slope = driven_by(m, u)
-                self._inputs.append(driven[few])
-                self._slopes.append(slope[few])
-                self._moves.append(in_motion(m)[few])
-                self._sizes.append(size)
-                reading = noise_of(u) * float(np.linalg.norm(weights_of(window))) / math.sqrt(size)
-                inertial = lowered * float(np.linalg.norm(row * shaken)) / own["gain"]
-                floors.append(math.hypot(reading, inertial))
-            turned = [m._replace(way=averaged(np.sign(m.v), window)) for m in motions]
-            self._motions.append([m.thinned(few) for m in turned])
-            regressor = self._arm.regressor(self._motions[-1])
-            self._regressors.append(np.ascontiguousarray(regressor.transpose(1, 0, 2)))
-        self.floors = np.array(floors)
+            )
+        ]
+        regressor = self._arm.regressor([x.motion for x in inverse])
+        return _Moved(
+            joints,
+            [inverse[j] for j in joints],
+            [np.ascontiguousarray(regressor[:, j]) for j in joints],
+        )
 
     def candidates(self) -> tuple[Candidate, ...]:
         """Every part of every effect on each joint and body."""
         places = zip(self._arm.joints, self._arm.bodies, strict=True)
         out = []
         for number, (joint, body) in enumerate(places):
-            for c in self._parts(self._of_joint(number)):
+            if (scale := self._of_joint(number)) is None:
+                continue
+            for c in self._parts(scale):
                 own = {"body": body} if issubclass(c.effect, BodyEffect) else {"joint": joint}
                 ways = c.choices * len(self._arm.joints)
                 out.append(replace(c, fixed={**c.fixed, **own}, choices=ways))
@@ -251,53 +263,55 @@ class ArmModel(AxisModel):
     def turns(self, cause: Candidate) -> bool:
         return self._arm.turns.get(cause.fixed.get("joint", ""), False)
 
-    def _of_joint(self, joint: int) -> RecordScale:
-        """The orders of magnitude of a joint."""
-        motions = [of[joint] for of in self._motions]
+    def _of_joint(self, joint: int) -> RecordScale | None:
+        """The orders of magnitude of a joint; None if it never moves."""
+        pairs = [pair for of in self._moved for pair in zip(of.joints, of.inverse, strict=True)]
+        own = [x for j, x in pairs if j == joint]
+        if not own:
+            return None
         gain = list(self._arm.joints.values())[joint]["gain"]
-        inputs = self._inputs[joint :: len(self._arm.joints)]
+        motions = [x.motion for x in own]
         return self._scale(
             [m.x for m in motions],
             motions,
-            force=max(float(np.quantile(np.abs(u), 0.999)) for u in inputs) * gain or 1e-12,
+            force=largest([gain * x.input for x in own]),
             duration=max(float(m.t[-1] - m.t[0]) for m in motions),
             resists=True,
         )
 
     def _shown(self, of: Hypothesis) -> list[Array]:
-        """(N,) input that the motion of each joint of each run takes."""
+        """(N,) input that the motion of each record takes."""
         p = self._arm.numbers()
         acting: list[Any] = [*self.believed, *of.effects()]
         for effect in acting:
             effect.apply_to_arm(p)
-        out = []
         inertial = np.concatenate([p.bodies[name] for name in self._arm.bodies])
-        for motions, regressor in zip(self._motions, self._regressors, strict=True):
-            for j, (m, (name, law)) in enumerate(zip(motions, p.laws.items(), strict=True)):
-                rigid = regressor[j] @ inertial + p.armature[name] * m.a
-                force = along(m._replace(a=rigid), law)
-                out.append(force / law.numbers[GAIN])
+        laws, out = list(p.laws.items()), []
+        for moved in self._moved:
+            for j, x, regressor in zip(*moved, strict=True):
+                name, law = laws[j]
+                rigid = regressor @ inertial + p.armature[name] * x.motion.a
+                out.append(along(x.motion._replace(a=rigid), law) / law.numbers[GAIN])
         return out
 
+    @property
+    def _inverse(self) -> list[InverseRecord]:
+        return [x for of in self._moved for x in of.inverse]
+
     def residuals(self, of: Hypothesis) -> list[Array]:
-        late = float(of.nuisances[0])
-        rows = zip(self._inputs, self._slopes, self._shown(of), self._moves, strict=True)
-        left = [(u - late * slope - x)[moves] for u, slope, x, moves in rows]
-        return [*map(blocks, left, self._sizes), of.nuisances / self.prior_sigma()]
+        pairs, late = zip(self._inverse, self._shown(of), strict=True), float(of.nuisances[0])
+        return [*(x.left(shown, late) for x, shown in pairs), of.nuisances / self.prior_sigma()]
 
     def scored(self, of: Hypothesis) -> list[Array]:
         return self.residuals(of)[:-1]
 
     def measured(self) -> list[Array]:
-        moving = [u[moves] for u, moves in zip(self._inputs, self._moves, strict=True)]
-        return list(map(blocks, moving, self._sizes))
+        return [x.averaged(x.input) for x in self._inverse]
 
     def predicted(self, of: Hypothesis) -> list[Array]:
-        times, late = [m.t for motions in self._motions for m in motions], float(of.nuisances[0])
-        rows = zip(self.records, times, self._shown(of), strict=True)
-        return [np.interp(r.t + late, t, x) for r, t, x in rows]
+        rows = zip(self.records, self._inverse, self._shown(of), strict=True)
+        late = float(of.nuisances[0])
+        return [np.interp(r.t + late, x.motion.t, shown) for r, x, shown in rows]
 
     def tells_nothing(self) -> str | None:
-        if not any(float(np.ptp(r.u)) for r in self.records):
-            return "No joint moves."
-        return super().tells_nothing() if all(float(np.ptp(r.u)) for r in self.records) else None
+        return super().tells_nothing() if self._moved else "No joint moves."

@@ -81,9 +81,9 @@ class Diagnosed(NamedTuple):
 
 def diagnosed(model: AxisModel, progress: Progress | None = None) -> Diagnosed:
     """Search, left-out runs and verdict on the records of a model."""
-    constant = np.array([spread(test.measured()) for _, _, test in model.folds()])
     if why := model.tells_nothing():
-        return Diagnosed("inconclusive", (), None, constant, model.floors, (why,))
+        return Diagnosed("inconclusive", (), None, np.zeros(0), model.floors, (why,))
+    constant = np.array([spread(test.measured()) for _, _, test in model.folds()])
     with np.errstate(all="ignore"):
         found = searched(model, progress)
         conclusion = conclude(found, model.folds(), model.candidates(), progress)

@@ -11,6 +11,7 @@ import numpy as np
 
 from hiltestbed.axis import servo
 from hiltestbed.axis.effects.base import AXIS_EFFECTS, AxisKind, RecordScale, applied
+from hiltestbed.axis.inverse import RESOLVED_SIGMA, InverseRecord, blocks_of, rows_of
 from hiltestbed.axis.law import (
     BEYOND,
     BEYOND_BACK,
@@ -22,20 +23,11 @@ from hiltestbed.axis.law import (
     force_along,
     motion_under,
 )
-from hiltestbed.axis.motion import (
-    Motion,
-    averaged,
-    block_of,
-    blocks,
-    even,
-    motion_of,
-    noise_of,
-    weights_of,
-)
+from hiltestbed.axis.motion import Motion, even, motion_of, noise_of
 from hiltestbed.effects.departure import Departure
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
-from hiltestbed.inference.model import Hypothesis, Model, Nuisance
+from hiltestbed.inference.model import FEWEST, FOLDS, Hypothesis, Model, Nuisance
 
 # [rows] standard deviation of the offset between the time stamps of input and output: loggers stamp
 # either up to a row late, uniformly
@@ -43,8 +35,6 @@ STAMP_SIGMA = 1.0 / math.sqrt(3.0)
 # of the range of an output, standard deviation of its zero from run to run: what a tare or a homing
 # leaves
 ZERO_ERROR = 0.01
-# of the rows over which a motion was smoothed, every which is used: those between tell nothing new
-ROWS_A_WINDOW = 4
 LONGEST_RESPONSE = 1e-2  # [s] of a step of a servo, which is exact but for limits and turns
 RESISTANCES = ("viscous", "coulomb", "offset")  # numbers of a nominal drive
 LONGEST_STEP = 1e-3  # [s] of an integration; friction and controllers of machines are slower
@@ -53,8 +43,6 @@ START_ROWS = 24  # rows from which a speed at the start is estimated
 START_STEPS = 2  # of Gauss-Newton: a motion is all but linear in its start
 # of the mean speed of the first rows, by which their slope is a difference; [m/s] of rows at rest
 START_NUDGE = 1e-3
-# standard deviations of the speed below which the sign of a motion is not known
-RESOLVED_SIGMA = 3.0
 # of the largest input, rms difference of two runs that count as repeats of one
 REPEATED = 0.02
 COPIED = 1e-6  # of the range of an output: a straight line of its input leaves less
@@ -150,6 +138,15 @@ class AxisModel(Model):
         pairs = zip(self._compared(of), self._zeros(), strict=True)
         return [_tared(x, 2.0 * zero) for x, zero in pairs]
 
+    def of_recorded(self) -> list[list[int]]:
+        """The records of each of the :attr:`recorded`, by number."""
+        return [[i] for i in range(len(self.records))]
+
+    def of_folds(self) -> list[list[int]]:
+        """The records of which each of the :meth:`folds` leaves out something, by number."""
+        each = self.of_recorded()
+        return each if len(each) >= FEWEST else [list(range(len(self.records)))] * FOLDS
+
     def tells_nothing(self) -> str | None:
         """Why records tell nothing of an axis; None where they do."""
         for r in self.records:
@@ -181,12 +178,12 @@ class AxisModel(Model):
         self, places: Sequence[Array], motions: Sequence[Motion], **more: Any
     ) -> RecordScale:
         """Of recorded places and the motions through them."""
-        speed = _largest([m.v for m in motions])
+        speed = largest([m.v for m in motions])
         return RecordScale(
             travel=_span(places),
             speed=speed,
             slow=0.1 * speed,
-            acceleration=_largest([m.a for m in motions]),
+            acceleration=largest([m.a for m in motions]),
             tick=float(np.median(self.ticks)),
             rotates=self.rotates,
             **more,
@@ -203,7 +200,8 @@ def _span(values: Sequence[Array]) -> float:
     return max(float(np.ptp(np.quantile(v, (0.001, 0.999)))) for v in values) or 1.0
 
 
-def _largest(values: Sequence[Array]) -> float:
+def largest(values: Sequence[Array]) -> float:
+    """The largest size of signals, but for their most extreme thousandths."""
     return max(float(np.quantile(np.abs(v), 0.999)) for v in values) or 1e-12
 
 
@@ -258,7 +256,7 @@ class DamperModel(AxisModel):
         scale = self._scale(
             [x.x for x in m],
             m,
-            force=_largest([y for _, _, y in self._even]),
+            force=largest([y for _, _, y in self._even]),
             duration=max(float(x.t[-1] - x.t[0]) for x in m),
             stiffness=self.nominal.get("stiffness", 0.0),
             damping=self.nominal.get("damping", 0.0),
@@ -291,8 +289,7 @@ class DriveModel(AxisModel):
     """Position under a recorded force or current; nominal: ``mass``, ``gain``, and what of friction
     the owner believes: ``viscous``, ``coulomb``, ``offset``.
 
-    Causes are sought on the inverse model: the input that the recorded motion would take, filtered
-    as the motion is (M. Gautier, P. Poignet, Control Eng. Pract. 9, 2001). A mass that is driven
+    Causes are sought on the inverse model (:mod:`hiltestbed.axis.inverse`): a mass that is driven
     integrates each error twice, so that its position tells less of what caused it than its force.
     """
 
@@ -300,32 +297,26 @@ class DriveModel(AxisModel):
     stretches = 4  # it integrates: what is left out has to last, or its neighbours tell it
 
     def _prepare(self) -> None:
-        self._motions, self._inputs, self._slopes, self._moves = [], [], [], []
-        self._sizes, noise = [], []
+        inertial = self.nominal.get("mass", 0.0) / self.nominal.get("gain", 1.0)
+        self._inverse = []
         for r in self.records:
             t, u, y = even(r.t, r.u, r.y)
-            motion = motion_of(t, y)
-            few = rows_of(motion)
-            driven, slope = driven_by(motion, u)
-            self._inputs.append(driven[few])
-            self._slopes.append(slope[few])
-            self._moves.append(in_motion(motion)[few])
-            size, lowered = block_of(motion, few.step)
-            self._sizes.append(size)
-            motion = motion._replace(way=averaged(np.sign(motion.v), motion.window))
-            self._motions.append(motion.thinned(few))
-            # of the input, and of the acceleration that it is compared with
-            inertial = self.nominal.get("mass", 0.0) / self.nominal.get("gain", 1.0)
-            own = noise_of(u) * float(np.linalg.norm(weights_of(motion.window))) / math.sqrt(size)
-            noise.append(math.hypot(own, inertial * lowered * motion.shaken))
-        self.floors = np.array(noise)
+            m = motion_of(t, y)
+            self._inverse.append(InverseRecord.of(m, u, inertial * m.shaken, blocks_of(m)))
+        self.floors = np.array([r.floor for r in self._inverse])
+
+    def tells_nothing(self) -> str | None:
+        for r, inverse in zip(self.records, self._inverse, strict=True):
+            if inverse.blocks < self.stretches:
+                return f"The axis does not move in {r.name}, but for the noise of its position."
+        return super().tells_nothing()
 
     def candidates(self) -> tuple[Candidate, ...]:
-        m = self._motions
+        m = [r.motion for r in self._inverse]
         scale = self._scale(
             [x.x for x in m],
             m,
-            force=_largest([u * self.nominal.get("gain", 1.0) for u in self._inputs]),
+            force=largest([r.input * self.nominal.get("gain", 1.0) for r in self._inverse]),
             duration=max(float(x.t[-1] - x.t[0]) for x in m),
             resists=any(self.nominal.get(k, 0.0) for k in RESISTANCES) or bool(self.believed),
         )
@@ -337,12 +328,8 @@ class DriveModel(AxisModel):
 
     def residuals(self, of: Hypothesis) -> list[Array]:
         law, late = self.law(of.effects()), float(of.nuisances[0])
-        rows = zip(self._motions, self._inputs, self._slopes, self._moves, strict=True)
-        left = [
-            (u - late * slope - along(m, law) / law.numbers[GAIN])[moves]
-            for m, u, slope, moves in rows
-        ]
-        return [*map(blocks, left, self._sizes), of.nuisances / self.prior_sigma()]
+        left = [r.left(along(r.motion, law) / law.numbers[GAIN], late) for r in self._inverse]
+        return [*left, of.nuisances / self.prior_sigma()]
 
     def scored(self, of: Hypothesis) -> list[Array]:
         return self.residuals(of)[:-1]
@@ -423,27 +410,6 @@ def started(r: AxisRun, late: float, law: Array) -> tuple[float, float]:
         slopes = np.column_stack([np.ones(len(t)), (faster - there) / nudge])
         start += np.linalg.lstsq(slopes, y - there, rcond=None)[0]
     return float(start[0]), float(start[1])
-
-
-def rows_of(m: Motion) -> slice:
-    """The rows of a motion that are used."""
-    return slice(None, None, max(1, m.window // ROWS_A_WINDOW))
-
-
-def in_motion(m: Motion) -> np.ndarray:
-    """(N,) whether the axis moves: where dry friction holds it, its force is not that of a
-    motion.
-    """
-    moves = np.abs(m.v) > RESOLVED_SIGMA * m.resolved
-    moves[: m.window // 2] = moves[len(moves) - m.window // 2 :] = False
-    return moves
-
-
-def driven_by(m: Motion, u: Array) -> tuple[Array, Array]:
-    """(N,) the input ``u``, averaged as the acceleration of the motion is, and its slope [1/s]."""
-    about = 0.5 * (u + np.r_[u[:1], u[:-1]])  # what is held before and after each row
-    driven = averaged(about, m.window)
-    return driven, motion_of(m.t, driven).v
 
 
 def along(m: Motion, law: AxisLaw) -> Array:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
+from scipy.signal import savgol_coeffs, savgol_filter
 
 from hiltestbed.frames import Array
 from hiltestbed.measured.noise import step_of, white_noise
@@ -17,9 +17,6 @@ WINDOWS = (5, 7, 9, 13, 17, 25, 35, 49, 69, 97, 137)  # rows of a window, each 1
 # of the noise: what a window may leave of a position. White noise leaves 1 - 9/(4 w) of itself, so
 # that a tenth above it is motion that the window cut off
 CUT_OFF = 1.1
-# of the rms of an acceleration, its noise: a mass is estimated too small by the square of that
-# (W. A. Fuller, Measurement Error Models, 1987, 1.1)
-NOISY = 0.02
 UNEVEN = 0.02  # of the median interval: largest departure of an even clock
 
 
@@ -96,37 +93,12 @@ def motion_of(t: Array, x: Array, window: int | None = None) -> Motion:
         np.asarray(savgol_filter(x, window, ORDER, deriv=d, delta=tick)) for d in range(3)
     )
     # variance of a derivative of a local cubic at its middle: the sum of its squared coefficients
-    impulse = np.zeros(2 * window + 1)
-    impulse[window] = 1.0
     gains = [
-        float(np.linalg.norm(np.asarray(savgol_filter(impulse, window, ORDER, d, tick))))
-        for d in (1, 2)
+        float(np.linalg.norm(savgol_coeffs(window, ORDER, deriv=d, delta=tick))) for d in (1, 2)
     ]
     resolved = gains[0] * noise
     way = np.tanh(v / max(resolved, 1e-12))
     return Motion(t, smooth, v, a, way, window, resolved, gains[1] * noise)
-
-
-def block_of(m: Motion, step: int) -> tuple[int, float]:
-    """How many rows, each ``step`` from the next, have to be averaged until the noise of their
-    acceleration is :data:`NOISY` of its rms, and by what factor that lowers the noise. Measured and
-    predicted are averaged alike, so that nothing else is lost than the time of an event.
-    """
-    one = np.asarray(savgol_filter(np.eye(1, 2 * m.window + 1, m.window)[0], m.window, ORDER, 2))
-    most = NOISY * float(np.sqrt(np.mean(m.a * m.a))) / max(m.shaken, 1e-300)
-    lowered = 1.0
-    for rows in (1, *WINDOWS):
-        spread = np.zeros((rows - 1) * step + 1)
-        spread[::step] = 1.0 / rows
-        lowered = float(np.linalg.norm(np.convolve(one, spread)) / np.linalg.norm(one))
-        if lowered <= most:
-            return rows, lowered
-    return WINDOWS[-1], lowered
-
-
-def blocks(x: Array, rows: int) -> Array:
-    """(N // rows,) means of a signal over blocks of ``rows``."""
-    return x[: len(x) // rows * rows].reshape(-1, rows).mean(axis=1)
 
 
 def weights_of(window: int) -> Array:
@@ -134,11 +106,7 @@ def weights_of(window: int) -> Array:
     difference over its window: the second sum of the coefficients of the second derivative. What is
     averaged by the same can be compared with it, also where it jumps.
     """
-    impulse = np.zeros(2 * window + 1)
-    impulse[window] = 1.0
-    second = np.asarray(savgol_filter(impulse, window, ORDER, 2))
-    first = window // 2 + 1
-    return np.cumsum(np.cumsum(second[first : first + window]))[:-2]
+    return np.cumsum(np.cumsum(savgol_coeffs(window, ORDER, deriv=2)))[:-2]
 
 
 def averaged(y: Array, window: int) -> Array:

@@ -141,10 +141,9 @@ class AxisFinding:
         c = self.conclusion
         if c is None:
             return ""
-        size = ", ".join(
-            f"{value:.3g} ({value / level:.2g} times the noise)"
-            for value, level in zip(c.fit.rms(), self.floors, strict=True)
-        )
+        each, rms = self.model.of_recorded(), c.fit.rms()
+        pairs = [(together(rms[of]), together(self.floors[of])) for of in each]
+        size = ", ".join(f"{v:.3g} ({v / level:.2g} times the noise)" for v, level in pairs)
         unit = "" if not self.extends else f" {self.loaded.units()[self._compared()]}"
         return f"it leaves {size}{unit} rms in the runs."
 
@@ -182,8 +181,9 @@ class AxisFinding:
         before, after = c.before, c.after
         out["heldout"] = heldout([name for name, _, _ in self.model.folds()], before, after)
         out["explained"] = 1.0 - float(np.sum(after**2) / np.sum(before**2))
-        left = [np.asarray(x) for x in c.fit.left[:-1]]
-        noise = [noise_of(r.y) for r in self.model.records] if not self._compared() else self.floors
+        rms, compared = c.fit.rms(), self._compared()
+        noise = self.floors if compared else np.array([noise_of(r.y) for r in self.model.records])
+        parts = zip(self.model.folds(), self.model.of_folds(), before, after, strict=True)
         out["residuals"] = [
             {
                 "channel": "output",
@@ -192,27 +192,23 @@ class AxisFinding:
                 "rms": b,
                 "rms_extended": a,
                 "constant": k,
-                "noise_floor": y,
+                "noise_floor": together(noise[of]),
                 "rms_free": None,
                 "rms_contact": None,
-                "white": bool(float(np.sqrt(np.mean(x * x))) <= CLOSE * f),
+                "white": bool(np.all(rms[of] <= CLOSE * self.floors[of])),
             }
-            for run, b, a, k, f, y, x in zip(
-                [name for name, _, _ in self.model.folds()],
-                before,
-                after,
-                self.constant,
-                self.floors,
-                noise,
-                left,
-                strict=False,
-            )
+            for ((run, *_), of, b, a), k in zip(parts, self.constant, strict=True)
         ]
         out["ranking"] = [
             {"effects": [x.kind for x in f.causes], "score": c.visited[0].evidence - f.evidence}
             for f in c.visited[:8]
         ]
         return finite(out)
+
+
+def together(rms: Array) -> float:
+    """rms of several signals of one size."""
+    return float(np.sqrt(np.mean(rms * rms)))
 
 
 def heldout(runs: Sequence[str], before: Array, after: Array) -> dict[str, Any]:

@@ -140,15 +140,20 @@ class Model(ABC):
     def measured(self) -> list[Array]:
         """(N,) what the owner measured in each run."""
 
+    @property
+    def recorded(self) -> tuple[str, ...]:
+        """Names of what was recorded at a time, and is left out as a whole."""
+        return self.runs
+
     def folds(self) -> list[tuple[str, Model, Model]]:
-        """What is left out, by name: the model of the rest, and of that. One run after the other;
-        of fewer than three, stretches of all runs.
+        """What is left out, by name: the model of the rest, and of that. What was :attr:`recorded`,
+        one after the other; of fewer than three, stretches of all.
         """
-        count = len(self.runs)
-        if count >= FEWEST:
-            rest = [[j for j in range(count) if j != i] for i in range(count)]
-            return [(self.runs[i], self.on(rest[i]), self.on([i])) for i in range(count)]
-        return self.stretch_folds()
+        names = self.recorded
+        if len(names) < FEWEST:
+            return self.stretch_folds()
+        rest = [[j for j in range(len(names)) if j != i] for i in range(len(names))]
+        return [(name, self.on(rest[i]), self.on([i])) for i, name in enumerate(names)]
 
     def stretch_folds(self) -> list[tuple[str, Model, Model]]:
         """The folds of few runs: stretches of all of them."""
@@ -159,7 +164,7 @@ class Model(ABC):
 
     @abstractmethod
     def on(self, runs: Sequence[int]) -> Model:
-        """The same model of some of its runs."""
+        """The same model of some of what was :attr:`recorded`."""
 
     def prior_sigma(self) -> Array:
         """(E,) of the nuisances."""

@@ -17,9 +17,8 @@ from hiltestbed.inference.model import places
 from hiltestbed.inference.residuals import Changes
 
 Progress = Callable[[str], None]
-MOST_CAUSES = (
-    10  # parts of effects on an axis; more than twice as many as any of the machines at hand has
-)
+# parts of effects on an axis; more than twice as many as any of the machines at hand has
+MOST_CAUSES = 10
 MOST_PARALLEL = 3  # effects of one kind that act side by side
 KEPT = 4  # candidates that are fitted beside a hypothesis
 # moves of which a few steps are made before the best are fitted, those of one kind in one variant,

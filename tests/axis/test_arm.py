@@ -111,6 +111,9 @@ def test_friction_of_each_joint_and_the_mass_of_a_body_are_found(folder: Path) -
             assert unit == {"coulomb": "N m", "viscous": "N m s/rad"}[name]
             assert value == pytest.approx(planted, rel=0.01)
             assert low < planted < high
+    each = found.to_json()["residuals"]
+    assert [r["run"] for r in each] == [f"run_{n}.csv" for n in range(3)]
+    assert all(r["white"] and r["rms_extended"] < CLOSE * r["noise_floor"] for r in each)
     extended = load_axis(found.write(folder / "found") / "extended.yaml").model()
     left = extended.scored(Hypothesis((), np.zeros(0), np.zeros(1)))
     assert all(np.std(x) < CLOSE * floor for x, floor in zip(left, extended.floors, strict=True))
@@ -143,6 +146,23 @@ def test_the_regressor_of_a_model_file_gives_the_torques_of_mujocos_inverse_dyna
         np.testing.assert_allclose(rigid[k] + others, data.qfrc_inverse[:2], atol=1e-9)
     assert numbers.armature == {"shoulder": 0.0, "elbow": pytest.approx(0.07)}
     assert [numbers.laws[j].numbers[VISCOUS_AT] for j in VISCOUS] == list(VISCOUS.values())
+
+
+def test_a_joint_that_rests_in_a_run_is_no_record_of_it(folder: Path, tmp_path: Path) -> None:
+    """Its encoder shows noise alone, and dry friction leaves its torque open."""
+    for name in ("arm.urdf", "arm.yaml", "run_1.csv", "run_2.csv"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    table = np.loadtxt(folder / "run_0.csv", delimiter=",", skiprows=1)
+    table[:, 2] = 20.0 + np.degrees(NOISE) * np.random.default_rng(4).standard_normal(len(table))
+    np.savetxt(
+        tmp_path / "run_0.csv", table, delimiter=",", header="t,q1,q2,tau1,tau2", comments=""
+    )
+    model = load_axis(tmp_path / "arm.yaml").model()
+    assert model.recorded == ("run_0.csv", "run_1.csv", "run_2.csv")
+    assert model.runs[:2] == ("run_0.csv: shoulder", "run_1.csv: shoulder")
+    assert model.of_folds() == [[0], [1, 2], [3, 4]]
+    left = model.residuals(Hypothesis((), np.zeros(0), np.zeros(1)))
+    assert all(len(x) and np.isfinite(x).all() for x in left)
 
 
 @pytest.mark.parametrize(
