@@ -34,7 +34,7 @@ from hiltestbed.diagnosis.result import (
 )
 from hiltestbed.diagnosis.settings import MIN_HELDOUT_GAIN
 from hiltestbed.diagnosis.timing import clock_offsets
-from hiltestbed.diagnosis.unexplained import describe
+from hiltestbed.diagnosis.unexplained import contradiction, describe
 from hiltestbed.diagnosis.verdict import Named, Verdict, decide
 from hiltestbed.effects.base import Effect
 from hiltestbed.inference.conclude import Confirmed, Estimate
@@ -93,7 +93,9 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
     effects = [*(c.fitted for c in once.values()), *law]
     series = [s for link in findings.whole.values() for s in link_series(link, effects)]
     departed = {name: e for name, e in explanations.items() if e.departs}
-    left = "; ".join(describe(e, LINK_NAMES[n]) for n, e in departed.items() if not e.adequate)
+    open_ = {name: e for name, e in departed.items() if not e.adequate}
+    contrary = {name: contradiction(e) for name, e in open_.items()}
+    left = [part for n, e in open_.items() for part in (describe(e, LINK_NAMES[n]), contrary[n])]
     return Finding(
         verdict=verdict.verdict,
         link=verdict.link,
@@ -104,7 +106,8 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         ranking=tuple(r for n, e in departed.items() for r in _ranking(n, e)),
         isolability=_isolability(findings, progress),
         unsized=_unsized(findings),
-        left=left,
+        left="; ".join(filter(None, left)),
+        contrary="; ".join(filter(None, contrary.values())),
         not_judged={LINK_NAMES[name]: why for name, why in verdict.not_judged.items()},
         partial=tuple(cause_of(c) for c in nearest),
         partial_gain=gain_of(findings, nearest),

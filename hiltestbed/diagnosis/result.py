@@ -295,9 +295,6 @@ class Series:
     unit: str = ""
 
 
-CONTRADICTION = "the runs contradict each other"  # where it holds, in what is left of a finding
-
-
 @dataclass
 class Finding:
     """The result of the stage "decide".
@@ -308,7 +305,7 @@ class Finding:
             other link the reason why it has none.
         series: every channel of every link and run. noise: channel to its floor.
         left: residual of the best extension in a sentence (verdict `unknown`): link, phase and
-            shape.
+            shape. contrary: how its runs contradict each other, in a sentence, if they do.
         not_judged: link to the reason why it could not be judged.
         partial: the effects of the vocabulary that come nearest where none leaves only noise;
             partial_gain: their gain on left-out runs.
@@ -329,6 +326,7 @@ class Finding:
     isolability: tuple[Isolable, ...] = ()
     unsized: Mapping[str, str] = field(default_factory=dict)
     left: str = ""
+    contrary: str = ""
     not_judged: Mapping[str, str] = field(default_factory=dict)
     partial: tuple[Cause, ...] = ()
     partial_gain: Heldout | None = None

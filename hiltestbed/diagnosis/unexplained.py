@@ -11,7 +11,6 @@ from hiltestbed.diagnosis.links import PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.plain import listed
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.result import CONTRADICTION
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
 from hiltestbed.inference.model import Hypothesis
@@ -33,14 +32,11 @@ def describe(explanation: Explanation, name: str) -> str:
     worst = max(phases, key=lambda p: phases[p])
     figures = ", ".join(f"{phase} {value:.2g}" for phase, value in phases.items())
     along = shape or "none of penetration, rate, their product, force or time"
-    contrary = contradiction(explanation)
-    contradicted = f"; {contrary}" if contrary else ""
     words = " and ".join(explanation.kinds)
     taken = f"with {words} removed, " if words else ""
     return (
         f"{name}: {taken}the largest residual is on {channel}, {worst} (times the noise: "
         f"{figures}); it correlates with {along}{_where(residual, effects, column)}"
-        f"{contradicted}"
     )
 
 
@@ -142,7 +138,7 @@ def contradiction(found: Explanation) -> str:
                 for i, f in zip(found.model.members, each, strict=True)
             )
             return (
-                f"{CONTRADICTION}: {effects_of(known)[0].kind} explains each of "
+                f"the runs contradict each other: {effects_of(known)[0].kind} explains each of "
                 f"them alone, with a size that changes from run to run, or with what differs "
                 f"between them ({sizes})"
             )

@@ -15,7 +15,7 @@ import pytest
 
 from hiltestbed.diagnosis.report.discriminators import RULES, rebound
 from hiltestbed.diagnosis.report.experiments import next_experiment, plan_for
-from hiltestbed.diagnosis.result import CONTRADICTION, Cause, Experiment, Finding, Parameter
+from hiltestbed.diagnosis.result import Cause, Experiment, Finding, Parameter
 from hiltestbed.effects import EFFECTS
 from hiltestbed.measured import MeasuredDataset, load_dataset
 from hiltestbed.sensor.parameters import SensorParameters
@@ -128,7 +128,7 @@ def test_an_unknown_departure_gets_an_experiment_on_its_link(
     dataset: MeasuredDataset, link: str | None
 ):
     assert next_experiment(Finding("unknown", link), dataset) is not None
-    experiment = next_experiment(Finding("unknown", link, left=f"x; {CONTRADICTION}: y"), dataset)
+    experiment = next_experiment(Finding("unknown", link, contrary="y"), dataset)
     assert experiment is not None
     assert "three times" in experiment.text
     assert len(experiment.runs) == 3

@@ -15,7 +15,7 @@ from hiltestbed.diagnosis.report.discriminators import (
     speed_ladder,
 )
 from hiltestbed.diagnosis.report.facts import Facts, facts_of
-from hiltestbed.diagnosis.result import CONTRADICTION, Cause, Experiment, Finding
+from hiltestbed.diagnosis.result import Cause, Experiment, Finding
 from hiltestbed.effects import EFFECTS
 from hiltestbed.measured import MeasuredDataset
 
@@ -89,7 +89,7 @@ def for_unknown(finding: Finding, facts: Facts) -> Experiment:
     """The experiment that shows most of an effect outside the vocabulary: the link alone, one
     variable at a time; repeats, where the runs contradict each other.
     """
-    if CONTRADICTION in finding.left:
+    if finding.contrary:
         text = (
             f"To see what differs between the runs: repeat the run at {facts.fast:g} m/s three "
             "times in a row with nothing changed, then after a pause, and after the mechanism was "
