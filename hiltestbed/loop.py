@@ -183,7 +183,8 @@ class Loop:
             plant, wrench = self.plant, self._wrench
             rig = (wrench, plant.pose_act, plant.twist_act, plant.contact)
             figures = self.tally.taking(rig, self._pose_before, (drive.wrench, drive.twist))
-            contacts = self.outcomes.taking(wrench, plant.contact, plant.captured)
+            model = (wrench, drive.pose, drive.twist)
+            contacts = self.outcomes.taking(model, plant.contact, plant.captured, plant.phases)
             row = () if trace is None else (self.row_of(trace),)
             lost = bound(_lost, drive.pose, POSE_LIMIT, self.alive, plant.diverged)
             self._keep, self._keeping = (

@@ -10,6 +10,7 @@ from typing import Any
 
 from hiltestbed import plugins
 from hiltestbed.analysis.ledger import delay_ledger, predicted_log_error
+from hiltestbed.analysis.limits import verdict
 from hiltestbed.analysis.metrics import ContactFigures
 from hiltestbed.analysis.outcome import MovingParts
 from hiltestbed.analysis.stability import stability
@@ -392,6 +393,7 @@ def concluded(
         "tracking_compliance": figures.tracking_compliance,
         "payload_left": batch.payload[i],
         **batch.outcomes[i],
+        **verdict(scenario.limits, batch.outcomes[i]["interface"]),
         "warnings": [*warnings(scenario), *remarks],
         "delay_ledger": [vars(entry) for entry in ledger],
         "identification": batch.identification[i],

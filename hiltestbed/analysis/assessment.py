@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from hiltestbed.analysis.limits import BEYOND, in_words
 from hiltestbed.run_folder.folders import number
 
 # of the approach energy: the relative change of e is half of it over e^2, as for a 0.5 % gain error
@@ -100,6 +101,9 @@ def figures_of(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
         ("peak force", number(summary["peak_force"], 4, "N"), ""),
         ("contact time", number(lasted, 4, "s"), "" if lasted else "the ports did not touch"),
     ]
+    if (share := summary.get("limits_share")) is not None:
+        most = f"the most, {100.0 * share:.3g} %, by {summary['limits_worst']}"
+        rows.append(("limits", "exceeded" if share > BEYOND else "kept", most))
     if (seen := monitored(summary)) is not None:
         rows.append(("process monitoring", *seen))
     return rows
@@ -200,6 +204,8 @@ def _warnings(summary: dict[str, Any]) -> list[str]:
             f"the force is {1e3 * late['estimated']:.4g} ms (+-{1e3 * late['half_width']:.2g} ms) "
             f"late, not the {1e3 * late['told']:.4g} ms of sensor.delay: the contact refused them"
         )
+    rows = summary.get("limits", ())
+    out += [f"limits: {in_words(row)}" for row in rows if (row["share"] or 0.0) > BEYOND]
     stability = summary.get("stability")
     if stability and stability["stable"] is False:
         out.append(f"the loop is {stability['verdict']}")

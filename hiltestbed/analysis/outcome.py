@@ -1,5 +1,6 @@
-"""Outcome of a docking: captured, rebounded, missed, or still in contact; all its contacts; and the
-joints of the mechanism's moving parts (stroke, ring, jaws) and of its mount, for the trace.
+"""Outcome of a docking: captured, rebounded, missed, or still in contact; all its contacts; how it
+touched first and what loads the interface carried; and the joints of the mechanism's moving parts
+(stroke, ring, jaws) and of its mount, for the trace.
 """
 
 from __future__ import annotations
@@ -12,9 +13,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.analysis.limits import LOADS, conditions
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import ACTIVE, PASSIVE
+from hiltestbed.contact.phases import Phases
+from hiltestbed.contact.settings import Mechanism
 from hiltestbed.frames import Array
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario
@@ -34,6 +38,9 @@ class Outcomes:
             [N] of each contact.
         count: ``(n,)`` contacts so far. captured_tick: ``(n,)`` tick at which the latches closed,
             -1 before.
+        first: ``(n, 13)`` pose and twist with which the numerical model meets the first contact.
+            begun: ``(n,)`` phases of capture begun. loads: ``(n, 2, 5)`` largest loads until hard
+            capture, and from then on, see :data:`hiltestbed.analysis.limits.LOADS`.
     """
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
@@ -43,37 +50,49 @@ class Outcomes:
         self.count = np.zeros(n, dtype=np.int64)
         self.captured_tick = np.full(n, -1, dtype=np.int64)
         self.touching = np.zeros(n, dtype=bool)
+        self.first = np.full((n, 13), np.nan)
+        self.loads, self.begun = np.zeros((n, 2, len(LOADS))), np.zeros(n, dtype=np.int64)
+        self._hard = np.array([hard_from(s.mechanism) for s in scenarios], dtype=np.int64)
         self._update = Call(
             _update,
             ...,
-            self.tick,
-            GIVEN,
-            GIVEN,
-            GIVEN,
-            self.events,
-            self.count,
-            self.captured_tick,
-            self.touching,
+            *(GIVEN,) * 6,
+            (self.tick, self.events, self.count, self.captured_tick, self.touching),
+            (self.first, self._hard, self.loads),
         )
 
     def taking(
-        self, wrench: Array, contact: NDArray[np.bool_], captured: NDArray[np.bool_]
+        self,
+        known: tuple[Array, Array, Array],
+        contact: NDArray[np.bool_],
+        captured: NDArray[np.bool_],
+        phases: Phases | None,
     ) -> Callable[[int], None]:
         """The update with tick k: a call with k, bound to arrays with fixed memory.
 
         Args:
-            wrench: ``(n, 6)`` physical. contact, captured: ``(n,)`` whether the mechanisms touch
-                and are latched.
+            known: physical wrench ``(n, 6)`` at t_k, pose ``(n, 7)`` and twist ``(n, 6)`` of the
+                numerical model for the next tick. contact, captured: ``(n,)`` whether the
+                mechanisms touch and are latched. phases: of their capture, if they have any.
         """
-        return self._update.on(wrench, contact, captured)
+        if phases is not None:
+            self.begun = phases.begun
+        return self._update.on(*known, contact, captured, self.begun)
 
     def summary(self, i: int) -> dict[str, Any]:
-        """Outcome of run ``i``, with the time of capture [s] and its contacts: start and end [s],
-        impulse [N s], peak force [N].
+        """Outcome of run ``i``, with the time of capture [s], how it touched first, the largest
+        loads, and its contacts: start and end [s], impulse [N s], peak force [N].
         """
-        captured = int(self.captured_tick[i])
+        captured, hard = int(self.captured_tick[i]), int(self._hard[i])
+        soft, stiff = (dict(zip(LOADS, map(float, row), strict=True)) for row in self.loads[i])
+        touched = hard > 0 and self.count[i] > 0
         return {
             "outcome": self._name(i),
+            "interface": {
+                "approach": conditions(self.first[i]) if touched else None,
+                "soft_capture": soft if touched else None,
+                "hard_capture": stiff if self.begun[i] >= hard else None,
+            },
             "captured_at": captured * self.tick if captured >= 0 else None,
             "contact_events": [
                 {
@@ -94,11 +113,34 @@ class Outcomes:
         return "in_contact" if self.touching[i] else "rebound"
 
 
+def hard_from(mechanism: Mechanism) -> int:
+    """Phases of capture that have begun when the structural latches close: up to the last that
+    closes a latch; 0 if captured from the start, 1 without phases, which never begins.
+    """
+    if mechanism.captured:
+        return 0
+    closing = [k for k, phase in enumerate(mechanism.phases()) if phase.close is not None]
+    return max(closing, default=len(mechanism.phases())) + 1
+
+
 @njit(cache=True)
-def _update(k, h, wrench, contact, captured, events, count, captured_tick, touching):
+def _update(k, wrench, pose, twist, contact, captured, begun, contacts, interface):
+    h, events, count, captured_tick, touching = contacts
+    first, hard, loads = interface
     for i in range(wrench.shape[0]):
         if captured[i] and captured_tick[i] < 0:
             captured_tick[i] = k
+        most = loads[i, 1 if begun[i] >= hard[i] else 0]
+        most[0] = max(most[0], wrench[i, 2])
+        most[1] = max(most[1], -wrench[i, 2])
+        most[2] = max(most[2], math.sqrt(wrench[i, 0] ** 2 + wrench[i, 1] ** 2))
+        most[3] = max(most[3], math.sqrt(wrench[i, 3] ** 2 + wrench[i, 4] ** 2))
+        most[4] = max(most[4], abs(wrench[i, 5]))
+        if count[i] == 0 and (k == 0 or not contact[i]):
+            for j in range(7):
+                first[i, j] = pose[i, j]
+            for j in range(6):
+                first[i, 7 + j] = twist[i, j]
         if contact[i]:
             if not touching[i]:
                 count[i] += 1

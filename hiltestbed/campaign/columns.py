@@ -18,7 +18,7 @@ from hiltestbed.campaign.schema import Campaign, LoadedCampaign, Variation
 from hiltestbed.frames import Array
 from hiltestbed.signals import AXES
 
-_TEXT = ("name", "scenario_sha256", "status", "stop_reason", "outcome")
+_TEXT = ("name", "scenario_sha256", "status", "stop_reason", "outcome", "limits_worst")
 _COUNTS = ("seed", "contacts")
 _FIGURES = (
     "cor",
@@ -41,6 +41,7 @@ _FIGURES = (
     "impulse",
     "tracking_error",
     "tracking_compliance",
+    "limits_share",
 )
 SCALARS = (*_TEXT, *_COUNTS, *_FIGURES)
 ESTIMATES = tuple(

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hiltestbed.analysis.limits import BEYOND
 from hiltestbed.campaign.columns import CaseGroup, choices_of, in_words, is_numeric, results
 from hiltestbed.campaign.schema import FIGURES, LoadedCampaign, Variation
 from hiltestbed.campaign.sensitivity import Sensitivity, explained_share, sensitivity
@@ -23,7 +24,7 @@ WORST = 10
 FACETS = 9  # maps side by side; with more choices, those of the best
 # share of the variance of left-out cases that an expansion must explain for its indices to be shown
 TRUSTED = 0.5
-_HELD = ("case", "status", "error", "outcome", *FIGURES)
+_HELD = ("case", "status", "error", "outcome", "limits_worst", *FIGURES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +88,7 @@ def write_report(folder: Path, campaign: LoadedCampaign) -> None:
         counts = (f"{count} {o.replace('_', ' ')}" for o, count in outcomes.most_common())
         report.text(f"Outcomes: {', '.join(counts)}.")
     _active(report, cases.figures["cor"])
+    _limits(report, cases.figures["limits_share"], cases.table["limits_worst"].to_pylist())
     order = _by_choice(report, cases)
     strongest = _strongest(cases, found[cases.response])
     _maps(report, cases, order, strongest)
@@ -124,6 +126,17 @@ def _active(report: Report, cor: Array) -> None:
         report.text(
             f"Of {known} cases with a rebound {rebounding} faster than the approach: e > 1, the "
             f"loop feeds energy in."
+        )
+
+
+def _limits(report: Report, share: Array, worst: list[str | None]) -> None:
+    known = int(np.isfinite(share).sum())
+    beyond = Counter(name for name, s in zip(worst, share, strict=True) if s > BEYOND)
+    if known:
+        which = ", ".join(f"{count} by {name}" for name, count in beyond.most_common())
+        report.text(
+            f"Of {known} cases {beyond.total() or 'none'} went beyond the limits"
+            f"{f', most: {which}' if which else ''}."
         )
 
 

@@ -22,6 +22,7 @@ Figure = Literal[  # shown in a report
     "peak_force",
     "contact_duration",
     "tracking_error",
+    "limits_share",
 ]
 FIGURES: tuple[str, ...] = get_args(Figure)
 # a day on a thousand cores; a larger number is assumed to be a typing error

@@ -66,6 +66,7 @@ def _look_at(path: str | Path, data: bool, set: Mapping[str, Any] | None = None)
 
 
 def _scenario(source: Source, data: bool) -> FileReport:
+    from hiltestbed.analysis.limits import ahead
     from hiltestbed.config.budget import run_budget
     from hiltestbed.config.models import remarks_on
     from hiltestbed.config.sense import warnings
@@ -78,11 +79,12 @@ def _scenario(source: Source, data: bool) -> FileReport:
         return FileReport("scenario", ())
     models = [file for file, kind in user_files(scenario).values() if kind.mjcf]
     said = (f"{file}: {text}" for file in models for text in remarks_on(file))
-    remarked = (*_as_warnings(warnings(scenario)), *remarks(scenario), *said)
+    remarked = (*_as_warnings(warnings(scenario)), *ahead(scenario), *remarks(scenario), *said)
     return _within(FileReport("scenario", (), remarked, run_budget([scenario])), source)
 
 
 def _campaign(source: Source, data: bool) -> FileReport:
+    from hiltestbed.analysis.limits import ahead
     from hiltestbed.campaign.schema import campaign_from
     from hiltestbed.campaign.sweep import varied_in_vain
     from hiltestbed.config.budget import campaign_budget
@@ -91,7 +93,8 @@ def _campaign(source: Source, data: bool) -> FileReport:
     campaign = campaign_from(source)
     if not data:
         return FileReport("campaign", ())
-    remarked = (*_as_warnings(warnings(campaign.nominal)), *_as_warnings(varied_in_vain(campaign)))
+    said = (*warnings(campaign.nominal), *varied_in_vain(campaign))
+    remarked = (*_as_warnings(said), *ahead(campaign.nominal))
     return _within(FileReport("campaign", (), remarked, campaign_budget(campaign)), source)
 
 

@@ -16,6 +16,7 @@ from hiltestbed.analysis.assessment import (
     figures_of,
     identified,
 )
+from hiltestbed.analysis.limits import in_cells
 from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.sides import sides_of
@@ -54,6 +55,7 @@ def run_report(run: Run) -> Report:
         report.figure(_energy(run.trace, run.scenario, summary), caption)
     _ledger(report, summary)
     _identified(report, run.scenario, summary)
+    _limits(report, run.scenario, summary)
     report.heading("What to do next")
     report.items(judged.advice or ("Nothing: no further action is needed.",))
     report.heading("How it was made")
@@ -124,6 +126,17 @@ def _ledger(report: Report, summary: dict[str, Any]) -> None:
     if predicted is not None:
         caption += f" Their sum predicts {predicted:+.4f} for the ln of the ratio."
     report.table(("source", "delay [ms]", "as damping [N s/m]"), rows, caption)
+
+
+def _limits(report: Report, scenario: Scenario, summary: dict[str, Any]) -> None:
+    rows = [(*in_cells(row), number(row["share"], 3)) for row in summary.get("limits", ())]
+    if scenario.limits is None or not rows:
+        return
+    report.heading("Against the limits")
+    caption = "Share above 1: beyond the limit. Of a lowest value it is 2 less the share."
+    if scenario.limits.standard:
+        caption += f" Limits of {scenario.limits.standard}, and those of the scenario."
+    report.table(("quantity", "value", "limit", "unit", "share"), rows, caption)
 
 
 def _identified(report: Report, scenario: Scenario, summary: dict[str, Any]) -> None:

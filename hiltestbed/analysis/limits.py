@@ -1,0 +1,100 @@
+"""A run against the limits of its scenario: its first contact, and the loads on the interface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.analysis.spring_damper import SpringDamper
+from hiltestbed.contact.directions import acting_along_z
+from hiltestbed.frames import Array, pose_step
+from hiltestbed.numerical_model.bodies import approach_state, effective_mass
+from hiltestbed.scenario import Scenario
+from hiltestbed.scenario.limits import LEAST, UNIT, Limits
+
+# share of a limit from which it counts as exceeded: noise of the force changes a nominal approach
+BEYOND = 1.001
+# rows of Outcomes.loads
+LOADS = ("compression", "tension", "shear", "bending", "torsion")
+Found = Mapping[str, Mapping[str, float] | None]
+
+
+def conditions(state: Array) -> dict[str, float]:
+    """Conditions of a contact from pose and twist ``(13,)`` of A in P [m, m/s, rad, rad/s]."""
+    x, y, _, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz = map(float, state)
+    roll = 2.0 * math.atan2(qz, qw)  # the twist of the rotation about z, the rest is its swing
+    return {
+        "closing_speed": vz,
+        "lateral_speed": math.hypot(vx, vy),
+        "pitch_yaw_rate": math.hypot(wx, wy),
+        "roll_rate": abs(wz),
+        "lateral_offset": math.hypot(x, y),
+        "pitch_yaw": 2.0 * math.asin(min(1.0, math.hypot(qx, qy))),
+        "roll": abs(math.remainder(roll, 2.0 * math.pi)),
+    }
+
+
+def compared(limits: Limits | None, found: Found) -> list[dict[str, Any]]:
+    """Each limit with the value found (None: it did not come to that) and its ``share`` of the
+    limit, above 1 beyond it; of a lowest value, 2 less the share. In SI units.
+    """
+    rows = []
+    for (part, name), limit in () if limits is None else limits.each().items():
+        values = found.get(part) or {}
+        value = values.get(name.removesuffix("_min").removesuffix("_max"))
+        share = None if value is None else value / limit
+        if share is not None and name == LEAST:
+            share = 2.0 - share
+        row = {"quantity": f"{part}.{name}", "value": value, "limit": limit, "unit": UNIT[name]}
+        rows.append(row | {"share": share})
+    return rows
+
+
+def verdict(limits: Limits | None, found: Found) -> dict[str, Any]:
+    """Entries of a summary: ``limits``, see :func:`compared`; the largest share, and whose."""
+    rows = compared(limits, found)
+    worst = max((r for r in rows if r["share"] is not None), key=lambda r: r["share"], default=None)
+    return {
+        "limits": rows,
+        "limits_share": worst and worst["share"],
+        "limits_worst": worst and worst["quantity"],
+    }
+
+
+def in_cells(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    """A row of :func:`compared` as texts: quantity, value, limit and unit, angles in degrees."""
+    unit, scale = row["unit"], 1.0
+    if unit.startswith("rad"):
+        unit, scale = unit.replace("rad", "deg"), math.degrees(1.0)
+    value = "-" if row["value"] is None else f"{scale * row['value']:.4g}"
+    return row["quantity"], value, f"{scale * row['limit']:.4g}", unit
+
+
+def in_words(row: Mapping[str, Any]) -> str:
+    """A row of :func:`compared` as a sentence."""
+    quantity, value, limit, unit = in_cells(row)
+    bound = "at least" if quantity.endswith(LEAST) else "at most"
+    return f"{quantity} is {value} {unit}, allowed is {bound} {limit} {unit}"
+
+
+def ahead(scenario: Scenario) -> tuple[str, ...]:
+    """The verdict before a run: the uniform approach up to the nominal touch, and the peak force of
+    a spring and damper along the insertion.
+    """
+    mechanism, start = scenario.mechanism, approach_state(scenario)
+    if scenario.limits is None or mechanism.captured:
+        return ()
+    speed, pose = scenario.approach.velocity[2], start[:7].copy()
+    if speed > 0.0:
+        pose_step(start[:7], start[7:], scenario.approach.gap / speed, pose)
+    (k, c), mass = acting_along_z(scenario), effective_mass(scenario)
+    peak = SpringDamper(k, c, mass).peak_force(max(speed, 0.0))
+    state = np.concatenate([pose, start[7:]])
+    found = {"approach": conditions(state), "soft_capture": {"compression": peak}}
+    rows = [r for r in compared(scenario.limits, found) if r["value"] is not None]
+    beyond = [f"warning: limits: {in_words(r)}" for r in rows if r["share"] > BEYOND]
+    kept = f"limits: {len(rows)} can be told before a run, all are kept"
+    return tuple(beyond or ([kept] if rows else []))
