@@ -78,7 +78,9 @@ class Particular:
     enter: Annotated[
         str | None,
         typer.Option(
-            "--enter", metavar="URL", help="hildock: a method of your own behind udp://HOST:PORT."
+            "--enter",
+            metavar="URL|FMU",
+            help="hildock: a method of your own behind udp://HOST:PORT, or in an FMU.",
         ),
     ] = None
 

@@ -1,5 +1,5 @@
-"""FMI 3.0 for co-simulation: the physical side, or the force sensor alone, packed as an FMU, and a
-user's FMU stepped from Python.
+"""FMI for co-simulation: the physical side, or the force sensor alone, packed as an FMU of FMI 3.0,
+and a user's FMU of FMI 2.0 or 3.0 stepped from Python.
 
 Modelica Association, "Functional Mock-up Interface Specification", version 3.0, sections 2 and 4.
 Packing is done by PythonFMU3, reading and stepping by FMPy; both come with the extra ``fmi``. A
@@ -58,9 +58,12 @@ DIMENSIONS = {  # exponents of the base units
     "N": (1, 1, -2, 0, 0, 0, 0),
     "N m": (1, 2, -2, 0, 0, 0, 0),
 }
-WARNING = 1  # fmi3Status
-# calls that return an fmi3Status while the FMU runs
-STATUS_CALLS = ("fmi3DoStep", "fmi3SetFloat64", "fmi3GetFloat64")
+WARNING = 1  # fmi3Status, fmi2Status
+# calls that return such a status while the FMU runs
+STATUS_CALLS = (
+    *("fmi3DoStep", "fmi3SetFloat64", "fmi3GetFloat64"),
+    *("fmi2DoStep", "fmi2SetReal", "fmi2GetReal"),
+)
 _LOG = logging.getLogger(__name__)
 
 _SCRIPT = """\
@@ -255,30 +258,40 @@ class CoSimulation:
             (terminateSimulation); None: it has not.
     """
 
-    def __init__(self, path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        """``inputs`` and ``outputs``: names of Float64 variables, whose last part tells the
-        quantity (:data:`SI`), set and returned in SI. Raises MissingExtra; InputError with every
-        fault.
+    def __init__(
+        self,
+        path: Path,
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        parameters: Sequence[str] = (),
+    ) -> None:
+        """``inputs``, ``outputs`` and ``parameters``: names of Float64 (FMI 2.0: Real) variables,
+        whose last part tells the quantity (:data:`SI`), set and returned in SI. Raises
+        MissingExtra; InputError with every fault.
         """
-        if find_spec("fmpy") is None:
-            raise MissingExtra("stepping an FMU", "fmi")
         self.path = path
-        self._description = _described(path)
+        self._description = described(path)
         self._inputs, self._in_unit = self._references(inputs, "input")
         self._outputs, self._out_unit = self._references(outputs, "output")
+        self._parameters, self._parameter_unit = self._references(parameters, "parameter")
         self._slave: Any = None
         self._unpacked = ""
         self.time = 0.0
         self.ended: float | None = None
 
-    def open(self) -> None:
-        """Unpack and start at time 0. Raises DeviceError if the FMU does not start."""
+    def open(self, parameters: Sequence[float] = ()) -> None:
+        """Unpack and start at time 0 with values of the parameters. Raises DeviceError if the FMU
+        does not start.
+        """
         import fmpy
+        from fmpy import fmi2
         from fmpy.fmi3 import FMU3Slave
 
         simulation, said = self, set()
+        second = self._description.fmiVersion == "2.0"
+        base: Any = fmi2.FMU2Slave if second else FMU3Slave
 
-        class Slave(FMU3Slave):
+        class Slave(base):
             """Logs what the FMU warns of, once each."""
 
             def _call(self, fname: str, *args: Any) -> Any:
@@ -292,6 +305,10 @@ class CoSimulation:
                     )
                 return status
 
+        Slave.__name__ = base.__name__  # by which FMPy tells the version
+        if second:  # FMI 2.0 by the names of 3.0
+            Slave.setFloat64, Slave.getFloat64 = base.setReal, base.getReal
+            Slave.doStep = lambda slave, t, h: (base.doStep(slave, t, h), False, False, t + h)
         self._unpacked = fmpy.extract(str(self.path))
         identifier = self._description.coSimulation.modelIdentifier
         self.time, self.ended = 0.0, None
@@ -302,8 +319,20 @@ class CoSimulation:
                 modelIdentifier=identifier,
                 instanceName=identifier,
             )
-            self._slave.instantiate(logMessage=lambda *_: None)
-            self._slave.enterInitializationMode(startTime=0.0)
+            if second:
+                quiet = fmi2.fmi2CallbackFunctions()
+                quiet.logger = fmi2.fmi2CallbackLoggerTYPE(lambda *_: None)
+                quiet.allocateMemory = fmi2.defaultCallbacks.allocateMemory
+                quiet.freeMemory = fmi2.defaultCallbacks.freeMemory
+                self._slave.instantiate(callbacks=quiet)
+                self._slave.setupExperiment(startTime=0.0)
+            else:
+                self._slave.instantiate(logMessage=lambda *_: None)
+            if self._parameters:
+                factor, offset = self._parameter_unit
+                told = (np.asarray(parameters) - offset) / factor
+                self._slave.setFloat64(self._parameters, told.tolist())
+            self._slave.enterInitializationMode(**({} if second else {"startTime": 0.0}))
             self._slave.exitInitializationMode()
         except Exception as error:  # FMPy raises no narrower class
             self._slave = None
@@ -322,20 +351,20 @@ class CoSimulation:
         with self._obeyed() as slave:
             factor, offset = self._in_unit
             slave.setFloat64(self._inputs, ((values - offset) / factor).tolist())
-            self._advance(slave, self.time + period)
+            self._advance(slave, period)
         return self.outputs()
 
-    def _advance(self, slave: Any, until: float) -> None:
-        """Step until ``until`` [s], in parts where the FMU returns early."""
-        early = True
+    def _advance(self, slave: Any, period: float) -> None:
+        """Step by ``period`` [s], in parts where the FMU returns early."""
+        early, until, left = True, self.time + period, period
         while early and self.ended is None:
-            _, ended, early, last = slave.doStep(self.time, until - self.time)
+            _, ended, early, last = slave.doStep(self.time, left)
             if ended:
                 self.time = self.ended = last if self.time <= last <= until else until
             elif not early or last >= until:
                 self.time, early = until, False
             elif last > self.time:
-                self.time = last
+                self.time, left = last, until - last
             else:
                 raise self._failure(
                     f"returned early at t = {self.time:.6f} s without having advanced; it cannot "
@@ -390,8 +419,11 @@ class CoSimulation:
         self, names: Sequence[str], causality: str
     ) -> tuple[list[int], tuple[Array, Array]]:
         """Value references, and factors and offsets (n,) from the FMU's units to SI."""
-        variables = self._description.modelVariables
-        known = {v.name: v for v in variables if v.causality == causality and v.type == "Float64"}
+        known = {
+            v.name: v
+            for v in self._description.modelVariables
+            if v.causality == causality and v.type in ("Float64", "Real")
+        }
         faults, units = [], {}
         for name in names:
             try:
@@ -400,6 +432,8 @@ class CoSimulation:
                         f"is no {causality} of type Float64{nearest(name, known)}; allowed: "
                         f"{', '.join(known) or 'none'}"
                     )
+                if getattr(known[name], "dimensions", None):
+                    raise ValueError("is an array; allowed is a single number")
                 units[name] = self._unit(known[name])
             except ValueError as error:
                 faults.append(Fault(str(self.path), None, None, name, str(error)))
@@ -438,8 +472,12 @@ class CoSimulation:
         return float(base.factor), 0.0 if relative else float(base.offset)
 
 
-def _described(path: Path) -> Any:
-    """The description of an FMU that can be stepped here. Raises InputError with every problem."""
+def described(path: Path) -> Any:
+    """The description of an FMU that can be stepped here. Raises MissingExtra; InputError with
+    every problem.
+    """
+    if find_spec("fmpy") is None:
+        raise MissingExtra("stepping an FMU", "fmi")
     import fmpy
     from fmpy.validation import validate_fmu
 
@@ -449,9 +487,9 @@ def _described(path: Path) -> Any:
     if problems:
         raise InputError(Fault(str(path), None, None, "modelDescription", str(p)) for p in problems)
     description: Any = fmpy.read_model_description(str(path), validate=False)
-    if description.fmiVersion != "3.0" or description.coSimulation is None:
+    if description.fmiVersion not in ("2.0", "3.0") or description.coSimulation is None:
         message = (
-            f"is not an FMU of FMI 3.0 for co-simulation (got FMI "
+            f"is not an FMU of FMI 2.0 or 3.0 for co-simulation (got FMI "
             f"{description.fmiVersion}); export it as one"
         )
         raise refused(str(path), message)

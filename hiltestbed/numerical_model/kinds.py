@@ -32,7 +32,7 @@ class TwoFreeFlyers(ModelKind):
 
 @register
 class Fmu(ModelKind):
-    """The user's own model, as an FMU (FMI 3.0, co-simulation).
+    """The user's own model, as an FMU (FMI 2.0 or 3.0, co-simulation).
 
     Inputs: wrench.fx ... tz, exerted by the active side on the passive one, in P at P's origin;
         outputs: pose.px ... qw of A in P and twist.vx ... wz of A relative to P, in P. The input is

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 import socket
 import subprocess
 import threading
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hiltestbed.bench.hildock.door import UdpEntrant
+from hiltestbed.bench.hildock.door import FmuEntrant, UdpEntrant
 from hiltestbed.bench.hildock.methods import (
     METHODS,
     PhaseLeadEntrant,
@@ -36,6 +38,7 @@ from hiltestbed.bench.hildock.problem import (
 from hiltestbed.errors import HiltestbedError, InputError
 
 QUICK = cases(quick=True)
+NEEDS_CC = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc)")
 ENTRANT = Path(__file__).parent / "entrants" / "lead.c"
 
 
@@ -135,7 +138,7 @@ def test_the_percentile_is_the_nearest_rank() -> None:
     assert percentile_95([float(i) for i in range(48, 0, -1)]) == 46.0  # ceil(45.6)
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc)")
+@NEEDS_CC
 def test_an_entrant_in_c_scores_the_digits_of_the_method_it_copies(tmp_path: Path) -> None:
     program = tmp_path / "lead"
     # no fused multiply-add: the page's operations, each rounded
@@ -153,6 +156,112 @@ def test_an_entrant_in_c_scores_the_digits_of_the_method_it_copies(tmp_path: Pat
             assert indices(case, ours, ideal) == indices(case, theirs, ideal)
         foreign.close()
         assert running.wait(10) == 0
+
+
+VARIABLES = ("y", "x", "h", "m", "x0", "v0", "delay", "noise")
+CAUSALITY = {"y": "input", "x": "output"}
+
+
+def _description(version: int, names: tuple[str, ...], size: int) -> str:
+    """modelDescription.xml of lead_fmu.c. size: of y, an array if more than 1."""
+    lines, start = [], ' start="0"'
+    for name in names:
+        causality = CAUSALITY.get(name, "parameter")
+        fixed = ' variability="fixed"' if causality == "parameter" else ""
+        given = start if causality != "output" else ""
+        known = f'name="{name}" valueReference="{VARIABLES.index(name[:5].lower())}" '
+        known += f'causality="{causality}"{fixed}'
+        inside = f'<Dimension start="{size}"/>' if name == "y" and size > 1 else ""
+        lines.append(
+            f"<Float64 {known}{given}>{inside}</Float64>"
+            if version == 3
+            else f"<ScalarVariable {known}><Real{given}/></ScalarVariable>"
+        )
+    token, outputs = "guid", '<Outputs><Unknown index="2"/></Outputs>'
+    first = '<InitialUnknowns><Unknown index="2"/></InitialUnknowns>'
+    if version == 3:
+        lines.append('<Float64 name="time" valueReference="8" causality="independent"/>')
+        token, outputs = "instantiationToken", '<Output valueReference="1"/>'
+        first = '<InitialUnknown valueReference="1"/>'
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="{version}.0" '
+        f'modelName="lead" {token}="lead"><CoSimulation modelIdentifier="lead"/><ModelVariables>'
+        f"{''.join(lines)}</ModelVariables><ModelStructure>{outputs}{first}</ModelStructure>"
+        "</fmiModelDescription>"
+    )
+
+
+def _built(
+    folder: Path,
+    version: int = 3,
+    fault: str = "",
+    names: tuple[str, ...] = VARIABLES,
+    size: int = 1,
+) -> Path:
+    """lead_fmu.c as an FMU; the functions of the standard that it lacks return an error."""
+    fmpy = pytest.importorskip("fmpy")
+    header = Path(fmpy.__file__).parent / "c-code" / f"fmi{version}Functions.h"
+    functions = set(re.findall(rf"\b(fmi{version}[A-Z]\w+)\s*;", header.read_text()))
+    functions |= set(re.findall(r"define (fmi\d[A-Z]\w+) +fmi\dFullName", header.read_text()))
+    stubs = folder / "stubs.c"
+    stubs.write_text(
+        "\n".join(f"__attribute__((weak)) int {f}(void) {{ return 3; }}" for f in sorted(functions))
+    )
+    library = folder / "lead.so"
+    options = [f"-DFMI{version}", *([f"-DFAULT={fault}"] if fault else [])]
+    build = ["cc", "-O2", "-ffp-contract=off", "-shared", "-fPIC", *options, "-o", str(library)]
+    subprocess.run([*build, str(ENTRANT.with_name("lead_fmu.c")), str(stubs), "-lm"], check=True)
+    out = folder / "lead.fmu"
+    where = fmpy.platform_tuple if version == 3 else fmpy.platform
+    with zipfile.ZipFile(out, "w") as archive:
+        archive.writestr("modelDescription.xml", _description(version, names, size))
+        archive.write(library, f"binaries/{where}/lead{fmpy.sharedLibraryExtension}")
+    return out
+
+
+@NEEDS_CC
+@pytest.mark.parametrize("version", [2, 3])
+def test_an_fmu_in_c_scores_the_digits_of_the_method_it_copies(
+    tmp_path: Path, version: int
+) -> None:
+    foreign = FmuEntrant(_built(tmp_path, version), deadline=10.0)
+    for case in QUICK[:: len(QUICK) // 6]:
+        ours, theirs, ideal = play(case, PhaseLeadEntrant()), play(case, foreign), reference(case)
+        assert indices(case, ours, ideal) == indices(case, theirs, ideal)
+    foreign.close()
+
+
+@NEEDS_CC
+@pytest.mark.parametrize(
+    ("fault", "tick", "said"),
+    [
+        ("p[X] = NAN", 3, "the FMU gave a value that is not finite at t = 0.002000 s"),
+        ("return 3", 3, "the FMU failed at t = 0.001500 s .*fmi3DoStep.*error"),
+        ("*ended = true", 4, "the FMU has ended the simulation at t = 0.002000 s"),
+        ("sleep(9)", 3, "no answer within 1.5 s; the entrant stopped or is too slow"),
+        ("abort()", 3, "no answer within 1.5 s; the entrant stopped or is too slow"),
+    ],
+)
+def test_what_an_fmu_does_wrong_is_told_with_case_and_tick(
+    tmp_path: Path, fault: str, tick: int, said: str
+) -> None:
+    foreign = FmuEntrant(_built(tmp_path, fault=fault), deadline=1.5)
+    with pytest.raises(HiltestbedError, match=rf"lead.fmu: case 7, tick {tick}: {said}"):
+        play(cases()[7], foreign)
+    foreign.close()
+
+
+@NEEDS_CC
+def test_an_fmu_that_lacks_what_the_page_asks_for_is_refused(tmp_path: Path) -> None:
+    names = tuple("Delay" if n == "delay" else n for n in VARIABLES if n != "noise")
+    with pytest.raises(InputError) as refused:
+        FmuEntrant(_built(tmp_path, names=names))
+    assert "delay: is no parameter of type Float64 (did you mean 'Delay'?)" in str(refused.value)
+    assert "noise: is no parameter" in str(refused.value)
+    with pytest.raises(InputError, match="y: is an array; allowed is a single number"):
+        FmuEntrant(_built(tmp_path, size=2))
+    with pytest.raises(InputError, match="is not an FMU"):
+        FmuEntrant(tmp_path / "absent.fmu")
 
 
 @pytest.mark.skipif(shutil.which("awk") is None, reason="no awk")

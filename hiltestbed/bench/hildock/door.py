@@ -1,22 +1,28 @@
-"""The door of HILDOCK-1 for entrants in any language: text lines over UDP, one a datagram.
+"""The door of HILDOCK-1 for entrants in any language: text lines over UDP, one a datagram. An FMU
+stands behind the same door, in a process of its own.
 
 hildock 1 start CASE TICKS TICK MASS START SPEED DELAY NOISE   ->  ready CASE
 CASE K FORCE                                             ->  CASE K POSITION
 end CASE                                                 ->  done CASE [STIFFNESS DAMPING]
 bye
+
+Any answer may be `fault` and why the entrant cannot go on.
 """
 
 from __future__ import annotations
 
 import math
 import socket
+import subprocess
+import sys
+from pathlib import Path
 from urllib.parse import urlsplit
 
+from hiltestbed.bench.hildock.fmu import LONGEST, entrant
 from hiltestbed.bench.hildock.problem import MASS, SPEED, START, TICK
 from hiltestbed.errors import HiltestbedError, InputError
 
 DEADLINE = 1.0  # [s] for one answer
-LONGEST = 4096  # bytes of one datagram
 
 
 class UdpEntrant:
@@ -36,7 +42,7 @@ class UdpEntrant:
         if parts.scheme != "udp" or None in address or parts.path not in ("", "/"):
             raise InputError(
                 f"bench hildock --enter: no address of an entrant (got {url!r}); allowed is "
-                f"udp://HOST:PORT, for instance udp://127.0.0.1:5005"
+                f"udp://HOST:PORT, for instance udp://127.0.0.1:5005, or the path of an .fmu"
             )
         self.name, self.deadline, self._case = url, deadline, 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -94,6 +100,8 @@ class UdpEntrant:
     def _numbers(
         self, words: list[str], begins: list[str], sizes: tuple[int, ...], what: str
     ) -> list[float]:
+        if words[:1] == ["fault"]:
+            raise self._fault(what, " ".join(words[1:]))
         given = " ".join(words)[:80]
         if words[: len(begins)] != begins or len(words) - len(begins) not in sizes:
             count = " or ".join(map(str, sizes))
@@ -111,3 +119,37 @@ class UdpEntrant:
                 what, f"the answer is no finite number (got {given!r}); look for 0/0 in the entrant"
             )
         return values
+
+
+class FmuEntrant(UdpEntrant):
+    """A method in an FMU for co-simulation."""
+
+    def __init__(self, file: Path, deadline: float = DEADLINE) -> None:
+        """deadline: [s] within which each answer has to come.
+
+        Raises:
+            MissingExtra: FMPy is not installed. InputError: the FMU lacks what the page asks for.
+        """
+        entrant(file)
+        command = [sys.executable, "-m", "hiltestbed.bench.hildock.fmu", str(file)]
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self._process.stdout is not None  # it is a pipe
+        with self._process.stdout as said:
+            port = said.readline().strip()
+        if not port:
+            raise HiltestbedError(f"bench hildock: {file}: the process that steps it has ended")
+        super().__init__(f"udp://127.0.0.1:{port}", deadline)
+        self.name = str(file)
+
+    def close(self) -> None:
+        super().close()
+        try:
+            self._process.wait(self.deadline)
+        except subprocess.TimeoutExpired:  # the FMU does not return
+            self._process.kill()
+            self._process.wait()
+
+
+def entered(door: str) -> UdpEntrant:
+    """The entrant behind an address, or in an FMU, for `--enter`. Raises InputError."""
+    return FmuEntrant(Path(door)) if door.endswith(".fmu") else UdpEntrant(door)

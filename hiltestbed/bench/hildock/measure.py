@@ -1,4 +1,6 @@
-"""`hiltestbed bench hildock [--quick] [--enter URL]`: the built-in entrants, and a foreign one."""
+"""`hiltestbed bench hildock [--quick] [--enter URL|FMU]`: the built-in entrants, and a foreign
+one.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.bench.hildock.door import UdpEntrant
+from hiltestbed.bench.hildock.door import entered
 from hiltestbed.bench.hildock.methods import METHODS, shipped
 from hiltestbed.bench.hildock.problem import (
     TRACKS,
@@ -35,7 +37,7 @@ def hildock(
         HiltestbedError: the foreign entrant answered late, wrongly or not at all.
     """
     todo = cases(quick)
-    foreign = UdpEntrant(enter) if enter is not None else None
+    foreign = entered(enter) if enter is not None else None
     entrants: list[Entrant] = [m() for m in METHODS]
     entrants = [foreign, *entrants] if foreign else [*entrants, *shipped()]
     work, ideal = len(entrants) * len(todo), [reference(c) for c in todo]
