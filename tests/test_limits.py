@@ -163,3 +163,22 @@ def test_a_limit_survives_a_resolved_scenario() -> None:
     assert again.limits == scenario.limits
     assert set(UNIT) >= {name for _, name in Limits(standard="idss").each()}
     assert in_si("1e3 mm", "m") == 1.0
+
+
+def test_loads_before_and_after_hard_capture_are_those_of_the_trace() -> None:
+    done = run(shipped("27-kinematic-coupling"))
+    assert done.trace is not None
+    since = {phase["name"]: phase["at"] for phase in done.summary["phases"]}["hard_capture"]
+    assert since is not None
+    w = done.trace["wrench_true"]
+    loads = {
+        "compression": w[:, 2],
+        "tension": -w[:, 2],
+        "shear": np.hypot(w[:, 0], w[:, 1]),
+        "bending": np.hypot(w[:, 3], w[:, 4]),
+        "torsion": np.abs(w[:, 5]),
+    }
+    hard = done.trace.t >= since - 1e-9
+    for part, rows in (("soft_capture", ~hard), ("hard_capture", hard)):
+        truth = {name: max(0.0, float(values[rows].max())) for name, values in loads.items()}
+        assert done.summary["interface"][part] == pytest.approx(truth, rel=1e-12)
