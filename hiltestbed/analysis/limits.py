@@ -96,5 +96,8 @@ def ahead(scenario: Scenario) -> tuple[str, ...]:
     found = {"approach": conditions(state), "soft_capture": {"compression": peak}}
     rows = [r for r in compared(scenario.limits, found) if r["value"] is not None]
     beyond = [f"warning: limits: {in_words(r)}" for r in rows if r["share"] > BEYOND]
-    kept = f"limits: {len(rows)} can be told before a run, all are kept"
+    kept = (
+        "limits: those of the approach, and of a first contact along the insertion, are kept; "
+        "other loads need a run"
+    )
     return tuple(beyond or ([kept] if rows else []))
