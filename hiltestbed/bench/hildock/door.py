@@ -132,7 +132,8 @@ class FmuEntrant(UdpEntrant):
         """
         entrant(file)
         command = [sys.executable, "-m", "hiltestbed.bench.hildock.fmu", str(file)]
-        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
         assert self._process.stdout is not None  # it is a pipe
         with self._process.stdout as said:
             port = said.readline().strip()
@@ -143,6 +144,8 @@ class FmuEntrant(UdpEntrant):
 
     def close(self) -> None:
         super().close()
+        assert self._process.stdin is not None  # it is a pipe
+        self._process.stdin.close()
         try:
             self._process.wait(self.deadline)
         except subprocess.TimeoutExpired:  # the FMU does not return
