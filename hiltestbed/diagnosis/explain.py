@@ -100,6 +100,17 @@ class Explanation:
                 out[name] = left
         return out
 
+    def ranked(self) -> list[PosteriorFit]:
+        """The fits with causes that were compared, that of this explanation first and then those of
+        the most evidence, each set of effects once.
+        """
+        out: dict[tuple[str, ...], PosteriorFit] = {}
+        fits = sorted(self.conclusion.visited, key=lambda f: -f.evidence)
+        for f in [self.fit, *(f for f in fits if np.isfinite(f.evidence))]:
+            if kinds := tuple(sorted(e.kind for e in effects_of(f))):
+                out.setdefault(kinds, f)
+        return list(out.values())
+
     def singles(self) -> list[PosteriorFit]:
         """The fits of one cause, those of the most evidence first, each effect once."""
         out: dict[str, PosteriorFit] = {}
@@ -112,6 +123,38 @@ class Explanation:
     def likelihood(self) -> Likelihood:
         """By which the hypothesis was chosen."""
         return self.conclusion.likelihood
+
+
+@dataclass(frozen=True, eq=False)
+class OpenPair:
+    """Two hypotheses of a link between which its record does not decide."""
+
+    explanation: Explanation
+    fits: tuple[PosteriorFit, PosteriorFit]
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The effects that only one of the two has, or has on this place."""
+        return tuple(c.kind for own in self._alone() for c in own)
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """What the first has in place of the second, and the reverse, in words: the same effect on
+        another body or axis with that.
+        """
+        first, second = self._alone()
+        both = {c.kind for c in first} & {c.kind for c in second}
+        a, b = (
+            " and ".join(
+                f"{c.kind} [{', '.join(c.place)}]" if c.kind in both else c.kind for c in own
+            )
+            for own in (first, second)
+        )
+        return (a or "nothing", b or "nothing")
+
+    def _alone(self) -> tuple[list[Candidate], list[Candidate]]:
+        a, b = ({(c.kind, c.place): c for c in f.causes} for f in self.fits)
+        return [c for k, c in a.items() if k not in b], [c for k, c in b.items() if k not in a]
 
 
 def effects_of(fit: PosteriorFit) -> list[Effect]:

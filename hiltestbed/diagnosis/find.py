@@ -6,13 +6,14 @@ ranking of hypotheses, and which effects the data can tell apart.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import gmean
 
 from hiltestbed.diagnosis.certainty import certainty
-from hiltestbed.diagnosis.explain import Explanation, effects_of
+from hiltestbed.diagnosis.explain import Explanation, OpenPair, effects_of
 from hiltestbed.diagnosis.heldout import heldout
 from hiltestbed.diagnosis.in_part import explained
 from hiltestbed.diagnosis.investigate import Findings
@@ -121,6 +122,7 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         ),
         certainty=tuple(certainty(n, e) for n, e in departed.items() if e.causes),
         timing=offsets,
+        open=_open(findings, verdict),
     )
 
 
@@ -265,20 +267,35 @@ def gain_of(findings: Findings, causes: tuple[Named, ...]) -> Heldout | None:
 
 
 def _ranking(name: str, e: Explanation) -> list[Ranked]:
-    seen, out = set(), []
-    fits = sorted(e.conclusion.visited, key=lambda f: -f.evidence)
-    for f in [e.fit, *(f for f in fits if np.isfinite(f.evidence))]:
+    out = []
+    for n, f in enumerate(e.ranked()[:MAX_RANKED]):
         effects = effects_of(f)
-        key = tuple(sorted(x.kind for x in effects))
-        if not key or key in seen or len(out) >= MAX_RANKED:
-            continue
-        seen.add(key)
-        gain = heldout(e, f) if len(out) < MAX_RANKED_HELDOUT else None
+        gain = heldout(e, f) if n < MAX_RANKED_HELDOUT else None
         words = "; ".join(listed(effect.parameters()) for effect in effects)
         after, adequate = gain.rms_after if gain else None, e.adequate if f is e.fit else None
         worse = 2.0 * (e.likelihood.again(e.fit).evidence - e.likelihood.again(f).evidence)
-        out.append(Ranked(tuple(x.kind for x in effects), worse, name, words, after, adequate))
+        kinds = tuple(x.kind for x in effects)
+        out.append(Ranked(kinds, worse, name, words, after, adequate))
     return out
+
+
+def _open(findings: Findings, verdict: Verdict) -> tuple[OpenPair, ...]:
+    """The pairs that another run has to tell apart: each cause and its rivals; on a link that more
+    than noise is left of, the two explanations that come nearest.
+    """
+    rivals = [
+        OpenPair(e, (e.fit, fit))
+        for c in verdict.causes
+        for e in [findings.explanations[c.link]]
+        for _, fit in c.rivals
+    ]
+    nearest = [
+        OpenPair(e, (a, b))
+        for e in findings.explanations.values()
+        if e.departs and not e.adequate
+        for a, b in itertools.pairwise(e.ranked()[:2])
+    ]
+    return (*rivals, *nearest)
 
 
 def _isolability(findings: Findings, progress: Progress | None) -> tuple[Isolable, ...]:

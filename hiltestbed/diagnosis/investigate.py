@@ -245,6 +245,23 @@ def _path(
     return with_noise_beside(layout, shown), path
 
 
+def links_of(layout: DatasetLayout) -> list[ModelLink]:
+    """The links that runs record, on the path of A that is measured."""
+    makers = {"compensation": compensation, "dynamics": dynamics, "platform": platform_link}
+    found = [make(layout, layout.rows) for n, make in makers.items() if n not in layout.missing]
+    if "wrench" in layout.missing:
+        return found
+    layout, path = _path(layout, {})
+    return (
+        found
+        if too_divergent(layout, path)
+        else [
+            *found,
+            make_wrench_link(layout, path, layout.rows),
+        ]
+    )
+
+
 def compensation(layout: DatasetLayout, rows: Sequence[int]) -> CompensationLink:
     """The compensation on the first ``rows`` of each run. Where it does not respond linearly to the
     readings, or the log is slower than the loop, errors of its input are found by replays. Rows do

@@ -12,39 +12,33 @@ its own products.
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Sequence, Set
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
-from hiltestbed.config.dataset import Dataset, LoadedDataset, RunEntry
+from hiltestbed.config.dataset import LoadedDataset
+from hiltestbed.diagnosis.further import (
+    MEASURED,
+    Further,
+    as_measured,
+    chosen,
+    noise_on_record,
+    possible,
+    with_noise,
+)
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.isolability import LOOK_ALIKE_COSINE, Detectable, detectable
 from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.effects.table import EFFECTS
-from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.errors import HiltestbedError
 from hiltestbed.frames import Array
 from hiltestbed.inference.search import Progress
-from hiltestbed.measured import examine, load_dataset
-from hiltestbed.measured.record import MEASURED_GROUPS
+from hiltestbed.measured import load_dataset
 from hiltestbed.process.progress import labelled
-from hiltestbed.scenario import Scenario, resolved, scenario_from
-from hiltestbed.signals import GROUPS
-from hiltestbed.simulation import simulate
-
-MEASURED = frozenset(c for group in MEASURED_GROUPS for c in GROUPS[group].columns)
-MOST_PROPOSED = 3  # runs
-FACTOR = 4.0  # of a stiffness or mass: its frequency is then twice or half the nominal one
-SPEED_FACTOR = 3.0  # half a decade; the peak force grows as much
-# of the approach speed, across it: 9 mm/s at 0.03 m/s, where friction is regularised below 0.1 mm/s
-SLIDING = 0.3
-TILT = 2.0  # [deg] a tip 0.1 m off the axis then touches 3.5 mm early
+from hiltestbed.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -74,14 +68,6 @@ class Proposal:
     words: str
     set: dict[str, Any]
     settles: tuple[tuple[str, str], ...]
-
-
-class Further(NamedTuple):
-    """A further run that may be proposed: in words, as settings, and its scenario."""
-
-    words: str
-    set: dict[str, Any]
-    scenario: Scenario
 
 
 @dataclass(frozen=True)
@@ -156,27 +142,19 @@ def plan(task: Scenario | LoadedDataset, progress: Progress | None = None) -> Pl
     """
     scenarios = [task] if isinstance(task, Scenario) else list(task.scenarios)
     noise, columns = ({}, MEASURED) if isinstance(task, Scenario) else _on_record(task)
-    scenarios = [_with_noise(s, noise, seed) for seed, s in enumerate(scenarios)]
-    further: list[Further] = []
-    with tempfile.TemporaryDirectory() as name, np.errstate(all="ignore"):
-        folder = Path(name)
-        for i, scenario in enumerate(scenarios):
-            if progress:
-                progress(f"simulating run {i + 1} of {len(scenarios)}")
-            if why := _simulate(scenario, folder / f"{i}.parquet", noise, columns):
+    scenarios = [with_noise(s, noise, seed) for seed, s in enumerate(scenarios)]
+    further = list(possible(scenarios[0], len(scenarios)))
+    if progress:
+        progress(f"simulating {len(scenarios)} planned runs and {len(further)} further ones")
+    every = (*scenarios, *(run.scenario for run in further))
+    with np.errstate(all="ignore"):
+        data, trouble = as_measured(every, every, noise, columns)
+        for i, why in enumerate(trouble[: len(scenarios)]):
+            if why:
                 raise HiltestbedError(f"run {i} of the plan: {why}")
-        for run in _possible(scenarios[0], len(scenarios)):
-            if progress:
-                progress(f"simulating a run {run.words}")
-            file = folder / f"{len(scenarios) + len(further)}.parquet"
-            if not _simulate(run.scenario, file, noise, columns):
-                further.append(run)
-        every = (*scenarios, *(run.scenario for run in further))
-        files = tuple(folder / f"{i}.parquet" for i in range(len(every)))
-        spec = Dataset(scenario="plan", runs=tuple(RunEntry(file=f.name) for f in files))
-        loaded = LoadedDataset(spec, folder / "plan.yaml", scenarios[0], every, files)
-        # simulated by these scenarios: no finding of the check forbids a diagnosis
-        findings = investigate(examine(loaded), progress)
+        assert data is not None
+        findings = investigate(data, progress)
+    further = [f for f, why in zip(further, trouble[len(scenarios) :], strict=True) if not why]
     links, missing = [], dict(findings.missing)
     for name, found in findings.explanations.items():
         if found.departs:
@@ -226,65 +204,17 @@ def _proposals(
     links: Sequence[_LinkPlan], own: range, further: Sequence[Further]
 ) -> tuple[Proposal, ...]:
     """The further runs that tell most pairs apart, each beside those before it."""
-    runs, out = list(own), []
-    left = {pair for link in links for pair in link.alike(runs)}
-    while left and len(out) < MOST_PROPOSED:
-        settled = [
-            left - {p for link in links for p in link.alike([*runs, len(own) + k])}
-            for k in range(len(further))
-        ]
-        best = max(range(len(further)), key=lambda k: len(settled[k]), default=None)
-        if best is None or not settled[best]:
-            break
-        pairs = sorted((min(p), max(p)) for p in settled[best])
-        out.append(Proposal(further[best].words, further[best].set, tuple(pairs)))
-        runs.append(len(own) + best)
-        left -= settled[best]
-    return tuple(out)
+    left = {pair for link in links for pair in link.alike(own)}
 
+    def settled(ks: Sequence[int]) -> dict[frozenset[str], float]:
+        runs = [*own, *(len(own) + k for k in ks)]
+        alike = {pair for link in links for pair in link.alike(runs)}
+        return dict.fromkeys(left - alike, 1.0)
 
-def _possible(scenario: Scenario, seed: int) -> Iterator[Further]:
-    """Those of the further runs that the facility can make, each with its own noise."""
-    believed = resolved(scenario)
-    for i, (words, settings) in enumerate(alternatives(scenario)):
-        try:
-            other = scenario_from(believed, settings | {"seed": seed + i})
-        except InputError:  # the facility, or the mechanism, does not allow it
-            continue
-        yield Further(words, settings, other)
-
-
-def alternatives(scenario: Scenario) -> list[tuple[str, dict[str, Any]]]:
-    """Further runs of a scenario, in words and as settings: other springs and masses, tilted, and
-    where it approaches, other speeds and sliding.
-    """
-    approach, duration = scenario.approach, scenario.duration
-    speed, k = approach.velocity[2], scenario.mechanism.contact.stiffness
-    mass = scenario.spacecraft.chaser.mass / FACTOR
-    springs = [
-        (
-            f"on a known spring of {factor * k:.3g} N/m",
-            {
-                "mechanism.contact.stiffness": factor * k,
-                "duration": duration * max(1.0, factor**-0.5),  # a contact lasts as 1/sqrt(k)
-            },
-        )
-        for factor in (FACTOR, 1.0 / FACTOR)
-    ]
-    speeds = [
-        (
-            f"at {factor * speed:.3g} m/s",
-            {"approach.velocity.2": factor * speed, "approach.gap": factor * approach.gap},
-        )
-        for factor in (SPEED_FACTOR, 1.0 / SPEED_FACTOR)
-    ]
-    sliding = (f"sliding at {SLIDING * speed:.3g} m/s", {"approach.velocity.0": SLIDING * speed})
-    return [
-        *springs,
-        (f"with a chaser of {mass:.3g} kg in the model", {"spacecraft.chaser.mass": mass}),
-        (f"tilted by {TILT:g} degrees", {"approach.attitude_deg.1": TILT}),
-        *((*speeds, sliding) if speed else ()),
-    ]
+    return tuple(
+        Proposal(further[k].words, further[k].set, tuple(sorted((min(p), max(p)) for p in pairs)))
+        for k, pairs in chosen(len(further), left, settled)
+    )
 
 
 def _on_record(task: LoadedDataset) -> tuple[dict[str, float], Set[str]]:
@@ -303,46 +233,5 @@ def _on_record(task: LoadedDataset) -> tuple[dict[str, float], Set[str]]:
             files=tuple(task.files[i] for i in known),
         )
     )
-    levels: dict[str, list[float]] = {}
-    for run in data.runs:
-        for column, found in run.survey.noise.items():
-            levels.setdefault(column, []).append(found.white)
     columns = {column for run in data.runs for column in run.record.columns()}
-    return {column: float(np.median(v)) for column, v in levels.items()}, columns
-
-
-def _with_noise(scenario: Scenario, noise: Mapping[str, float], seed: int) -> Scenario:
-    """A scenario whose sensor has the noise on record; of another ``seed`` in each run, since noise
-    that all runs share is none.
-    """
-    levels: dict[str, Any] = {
-        f"sensor.{key}": float(np.median([noise[c] for c in columns]))
-        for key, columns in (
-            ("noise", [c for c in noise if c.startswith("wrench_meas.f")]),
-            ("torque_noise", [c for c in noise if c.startswith("wrench_meas.t")]),
-        )
-        if columns
-    }
-    return scenario_from(resolved(scenario), levels | {"seed": seed})
-
-
-def _simulate(scenario: Scenario, file: Path, noise: Mapping[str, float], columns: Set[str]) -> str:
-    """Write a run to a ``file`` as its log would have it: the ``columns`` that are measured, with
-    the noise of a measured pose; that of the force has gone through the loop.
-
-    Returns:
-        In words why there is no run; empty where it is written.
-    """
-    try:
-        batch = simulate([scenario], trace=True)
-    except HiltestbedError as error:
-        return str(error)
-    if batch.trouble or batch.trace is None:
-        return batch.trouble[0][2] if batch.trouble else "it has no trace"
-    rng = np.random.default_rng(scenario.seed)
-    logged = {name: v for name, v in batch.trace.run(0).items() if name in columns | {"t"}}
-    for name, values in logged.items():
-        if name.startswith("pose_act."):
-            logged[name] = values + noise.get(name, 0.0) * rng.standard_normal(len(values))
-    pq.write_table(pa.table(logged), file)
-    return ""
+    return noise_on_record(data), columns

@@ -16,6 +16,7 @@ from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
     from hiltestbed.diagnosis.certainty import Certainty
+    from hiltestbed.diagnosis.explain import OpenPair
     from hiltestbed.diagnosis.timing import ClockOffset
 
 VERDICTS = ("no_discrepancy", "named", "ambiguous", "named_in_part", "unknown", "inconclusive")
@@ -312,6 +313,7 @@ class Finding:
         certainty: the uncertainty of the estimates of each fit that gave a cause.
         learned: the law learned on a link where the vocabulary leaves more than noise.
         timing: what was attributed to the timing of the facility.
+        open: pairs of hypotheses that the data do not tell apart.
         assumed: assumptions on the noise, in sentences. explained: verdict `named_in_part`: share
             of the departure on left-out runs.
     """
@@ -335,6 +337,7 @@ class Finding:
     learned: Learned | None = None
     certainty: tuple[Certainty, ...] = ()
     timing: tuple[ClockOffset, ...] = ()
+    open: tuple[OpenPair, ...] = ()
 
     @property
     def names(self) -> bool:

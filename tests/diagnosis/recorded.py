@@ -15,6 +15,7 @@ from ruamel.yaml import YAML
 from hiltestbed.measured import MeasuredDataset, load_dataset
 from hiltestbed.run_folder.store import write_trace
 from hiltestbed.scenario import scenario_from
+from hiltestbed.signals import RunTrace
 from hiltestbed.simulation import simulate
 from tests.equipment.independent_rig import draw_set, write_set
 
@@ -43,6 +44,14 @@ def drawn(folder: Path, seed: int, *hidden: str, **options: Any) -> MeasuredData
     return load_dataset(folder / "dataset.yaml")
 
 
+def written(trace: RunTrace, file: Path, without: Sequence[str] = ()) -> None:
+    """A trace on record, without some of its groups."""
+    write_trace(trace, file)
+    table = pq.read_table(file)
+    names = [c for c in table.column_names if c.partition(".")[0] not in without]
+    pq.write_table(table.select(names), file)
+
+
 def recorded(
     folder: Path,
     effects: list[dict[str, Any]],
@@ -64,13 +73,7 @@ def recorded(
             [scenario_from({**nominal, "effects": effects, "seed": i}, s)], trace=True
         ).trace
         assert trace is not None
-        file = folder / f"run_{i}.parquet"
-        write_trace(trace.run(0), file)
-        table = pq.read_table(file)
-        pq.write_table(
-            table.select([c for c in table.column_names if c.partition(".")[0] not in without]),
-            file,
-        )
+        written(trace.run(0), folder / f"run_{i}.parquet", without)
     yaml = YAML(typ="safe")
     yaml.dump(dict(nominal), folder / "nominal.yaml")
     runs = [{"file": f"run_{i}.parquet", "set": s} for i, s in enumerate(sets)]

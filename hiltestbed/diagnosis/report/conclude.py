@@ -5,12 +5,14 @@ loop, the next experiment.
 from __future__ import annotations
 
 from hiltestbed.diagnosis.closed_loop import closed_loop, simulate_runs
+from hiltestbed.diagnosis.next_run import next_experiment
 from hiltestbed.diagnosis.report.diagnosis import Diagnosis
 from hiltestbed.diagnosis.report.evidence import channel_residuals
-from hiltestbed.diagnosis.report.experiments import mass_of_either_body, next_experiment
 from hiltestbed.diagnosis.report.extend import extended_scenario
 from hiltestbed.diagnosis.result import Finding
 from hiltestbed.measured import MeasuredDataset
+
+MAX_MASS_FACTOR = 100.0  # chosen: no mass is wrong by more
 
 
 def conclude(dataset: MeasuredDataset, finding: Finding, seconds: float | None = None) -> Diagnosis:
@@ -46,3 +48,27 @@ def conclude(dataset: MeasuredDataset, finding: Finding, seconds: float | None =
         remarks=(*notes, *refused),
         seconds=seconds,
     )
+
+
+def mass_of_either_body(finding: Finding, dataset: MeasuredDataset) -> str | None:
+    """Where a body's mass is named: which factor on the other body's mass looks the same.
+
+    The relative pose depends on 1/mu = 1/m_chaser + 1/m_target only, about the centres of mass; a
+    factor with 1/m > 1/mu has no counterpart.
+    """
+    for cause in finding.causes:
+        if cause.effect == "dynamics.mass":
+            entry, bodies = cause.entry(), dataset.nominal.spacecraft
+            mass = {"chaser": bodies.chaser.mass, "target": bodies.target.mass}
+            body, other = entry["body"], "target" if entry["body"] == "chaser" else "chaser"
+            rest = 1.0 / mass[other] + (1.0 / float(entry["factor"]) - 1.0) / mass[body]
+            if rest > 0.0:
+                factor = 1.0 / (rest * mass[other])
+                # a foundation is no candidate
+                if not 1.0 / MAX_MASS_FACTOR < factor < MAX_MASS_FACTOR:
+                    return None
+                return (
+                    f"the relative pose depends on the reduced mass only: a factor of "
+                    f"{factor:.4g} on the {other}'s mass looks the same"
+                )
+    return None

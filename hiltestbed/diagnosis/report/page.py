@@ -13,7 +13,6 @@ from hiltestbed.diagnosis.plain import LINK_NAMES, listed
 from hiltestbed.diagnosis.report import pictures
 from hiltestbed.diagnosis.report.certain import certainty_section
 from hiltestbed.diagnosis.report.extend import in_words
-from hiltestbed.diagnosis.report.facts import rounded
 from hiltestbed.diagnosis.report.sentence import (
     TITLES,
     gain_sentence,
@@ -318,7 +317,7 @@ def _size(i: Isolable) -> str:
     if not i.unit:
         return "detected"
     sign = "up to " if EFFECTS[i.effect].vanishes else "from "
-    return f"{sign}{rounded(i.smallest, 3):g} {'' if i.unit == '-' else i.unit}".strip()
+    return f"{sign}{i.smallest:.3g} {'' if i.unit == '-' else i.unit}".strip()
 
 
 def _yaml(value: object) -> str:
