@@ -6,7 +6,6 @@ ranking of hypotheses, and which effects the data can tell apart.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -289,13 +288,18 @@ def _open(findings: Findings, verdict: Verdict) -> tuple[OpenPair, ...]:
         for e in [findings.explanations[c.link]]
         for _, fit in c.rivals
     ]
-    nearest = [
-        OpenPair(e, (a, b))
-        for e in findings.explanations.values()
-        if e.departs and not e.adequate
-        for a, b in itertools.pairwise(e.ranked()[:2])
+    departing = (e for e in findings.explanations.values() if e.departs and not e.adequate)
+    return (*rivals, *(pair for e in departing for pair in _nearest_pair(e)))
+
+
+def _nearest_pair(e: Explanation) -> list[OpenPair]:
+    """The explanation that comes nearest and the next one that is no part of it, nor it of that."""
+    best, *others = e.ranked() or [e.fit]
+    kinds = [{x.kind for x in effects_of(f)} for f in (best, *others)]
+    pairs = zip(others, kinds[1:], strict=True)
+    return [OpenPair(e, (best, f)) for f, own in pairs if not (own <= kinds[0] or own >= kinds[0])][
+        :1
     ]
-    return (*rivals, *nearest)
 
 
 def _isolability(findings: Findings, progress: Progress | None) -> tuple[Isolable, ...]:
