@@ -260,8 +260,10 @@ def _import(name: str, where: str) -> str:
         raise
     except ModuleNotFoundError as error:
         sys.modules.pop(module_name, None)
+        own = error.name is not None and f"{module_name}.".startswith(f"{error.name}.")
+        do = "give a module that can be imported, or the path of a .py file"
         raise InputError(
-            f"{where}: {error}; give a module that can be imported, or the path of a .py file"
+            f"{where}: {error}; {do if own else 'install what the module imports'}"
         ) from error
     except (Exception, SystemExit) as error:  # whatever the code of a user does
         sys.modules.pop(module_name, None)
