@@ -12,6 +12,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +23,7 @@ from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.measured.columns import STAMP, Columns
 from hiltestbed.measured.formats import data_file, no_file, read_columns
+from hiltestbed.measured.plausible import correlation
 from hiltestbed.measured.roles import (
     COMPENSATED,
     PUSHES,
@@ -35,13 +37,20 @@ from hiltestbed.measured.units import SI_UNIT, UNITS
 
 SHOWN = 12  # columns that a comment lists
 FREE = 20  # rows at the start of a run from which the approach is taken
+ALIKE = 0.9  # correlation of two columns without names, from which one follows the other
+BARE = (
+    "guessed by the numbers: the time rises evenly; of two columns of one size that move alike, "
+    "the earlier is the command and the later what was reached"
+)
 DAMPER = re.compile(r"damper|displac|disp\b|stroke|deflect", re.IGNORECASE)
+AXES = ("drive", "servo", "damper")
+PARTS = ("pose_cmd.pz", "pose_act.pz", "wrench_meas.fz", "wrench_comp.fz")  # of a rig, at least
 KINDS = (
     "drive: force or current to position; servo: command to position; damper: displacement to force"
 )
 DATASET = "dataset"
 BELIEVED = {  # of an axis
-    "drive": "state {mass: ...} [kg; of an axis that rotates: kg m^2]; gain, viscous, coulomb, "
+    "drive": "fill in: {mass: ...} [kg; of an axis that rotates: kg m^2]; gain, viscous, coulomb, "
     "offset",
     "servo": "delay [s], bandwidth [Hz], damping_ratio; left out: it follows its command",
     "damper": "stiffness [N/m], damping [N s/m], preload [N]",
@@ -54,6 +63,7 @@ class Log(NamedTuple):
 
     Attributes:
         own: whether each column has times of its own. dates: whether it writes dates or times.
+        bare: whether it numbers its columns in place of names. notes: how it was read.
     """
 
     path: Path
@@ -62,6 +72,8 @@ class Log(NamedTuple):
     data: Mapping[str, Array]
     own: bool
     dates: bool
+    bare: bool
+    notes: tuple[str, ...]
 
 
 class Entry(NamedTuple):
@@ -79,7 +91,7 @@ class Entry(NamedTuple):
 @dataclass(frozen=True)
 class FromLog:
     """What was written: the file and those beside it, its kind, its guesses, what is open, the
-    columns that are not used, and the other kinds of dataset that the log may be.
+    columns that are not used, the other kinds of dataset that the log may be, and how it was read.
     """
 
     files: tuple[Path, ...]
@@ -88,6 +100,7 @@ class FromLog:
     open: tuple[str, ...]
     not_used: tuple[str, ...]
     others: tuple[str, ...]
+    notes: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
         """As `--json` prints it."""
@@ -99,11 +112,13 @@ class FromLog:
             "open": list(self.open),
             "not_used": list(self.not_used),
             "other_kinds": list(self.others),
+            "notes": list(self.notes),
         }
 
     def lines(self) -> Iterator[str]:
         """For the terminal."""
         files = " and ".join(map(str, self.files))
+        yield from (f"{note}; {BARE}" for note in self.notes)
         yield f"{files}: written; {self.kind}, with these guesses:"
         yield from (f"  {channel}: {column}" for channel, column in self.guesses.items())
         if self.open:
@@ -127,9 +142,11 @@ def write_from_log(name: str, logs: Sequence[Path], kind: str = "") -> FromLog:
     """
     path = free_file(name)
     found = read_log(logs[0])
-    likely, axes = _docking(found, False), _axes(found)
+    likely, axes = [] if found.bare else _docking(found, False), _axes(found)
     docking = likely or _docking(found, True)
     kinds = [DATASET, *axes] if likely else [*axes, *([DATASET] if docking else [])]
+    if found.bare:
+        kinds = list(dict.fromkeys([*axes, *AXES, DATASET]))
     if kind and kind not in kinds:
         raise InputError(
             f"--as {kind}: {logs[0]} has no columns for it; allowed here: {', '.join(kinds)}"
@@ -140,7 +157,8 @@ def write_from_log(name: str, logs: Sequence[Path], kind: str = "") -> FromLog:
     if chosen == DATASET:
         entries, rotates = docking, False
     else:
-        rotates, entries = _axis(found, chosen, axes.get(chosen, _ends(found)))
+        ends = axes.get(chosen, (None, None) if found.bare else _ends(found))
+        rotates, entries = _axis(found, chosen, ends)
     others = [found, *(read_log(log) for log in logs[1:])]
     runs = [_run(*pair, found, entries, chosen) for pair in zip(logs, others, strict=True)]
     if chosen == DATASET:
@@ -157,7 +175,8 @@ def write_from_log(name: str, logs: Sequence[Path], kind: str = "") -> FromLog:
     guesses = {e.channel: e.column for e in entries if e.column}
     unused = tuple(n for n in found.roles if n not in guesses.values())
     rest = tuple(k for k in kinds if k != chosen)
-    return FromLog(files, title, guesses, tuple(lacking), unused, rest)
+    notes = tuple(f"{found.path.name} {note}" for note in found.notes)
+    return FromLog(files, title, guesses, tuple(lacking), unused, rest, notes)
 
 
 def _run(path: Path, other: Log, first: Log, entries: Sequence[Entry], kind: str) -> str:
@@ -188,7 +207,8 @@ def read_log(path: Path) -> Log:
     file = data_file(path)
     if not file.is_file():
         raise InputError(f"--from {path}: names no file; {no_file(file)}")
-    names = read_columns(file, frozenset()).names
+    known = read_columns(file, frozenset())
+    names, bare = known.names, all(name.isdigit() for name in known.names)
     columns = _loaded(file, names)
     roles = {
         name: role_of(name, columns.units.get(name, ""))
@@ -202,7 +222,42 @@ def read_log(path: Path) -> Log:
         )
     with file.open("rb") as opened:
         head = opened.read(4096).decode("utf-8", "replace")
-    return Log(file, names, roles, columns.data, bool(columns.clock), bool(STAMP.search(head)))
+    dates = bool(STAMP.search(head))
+    roles = _by_values({n: columns.data[n] for n in roles}) if bare else roles
+    return Log(
+        file,
+        names,
+        roles,
+        columns.data,
+        bool(columns.clock),
+        dates,
+        bare,
+        known.notes if bare else (),
+    )
+
+
+def _by_values(data: Mapping[str, Array]) -> dict[str, Role]:
+    """Roles of columns without names, as :data:`BARE` says; the rest is open."""
+    roles = {name: Role(name, "other", None, False, "", "") for name in data}
+    for name, values in data.items():
+        steps = np.diff(_known(values))
+        if steps.min() > 0.0 and np.ptp(steps) < np.mean(steps):
+            roles[name] = roles[name]._replace(quantity="time")
+            break
+    rest = [name for name, role in roles.items() if role.quantity != "time"]
+    pairs = [
+        (correlation(data[a], data[b]), a, b)
+        for a, b in combinations(rest, 2)
+        if 0.5 < np.ptp(_known(data[a])) / np.ptp(_known(data[b])) < 2.0
+    ]
+    alike, a, b = max(pairs, default=(0.0, "", ""))
+    if alike > ALIKE:
+        # b(t) = a(t - tau): the sum of (a - b)(a + b)' is tau times that of the slopes' squares
+        both = np.stack([data[a], data[b]])[:, np.isfinite(data[a] + data[b])]
+        leads = np.sum((both[0] - both[1]) * np.gradient(both[0] + both[1])) >= 0.0
+        for name, commanded in ((a, leads), (b, not leads)):
+            roles[name] = Role(name, "position", bool(commanded), False, "", "")
+    return roles
 
 
 def _moves(values: Array) -> bool:
@@ -299,13 +354,17 @@ def _channel(
     channel: str, role: Role | None, rotates: bool, log: Log, rest: Sequence[str]
 ) -> Entry:
     if role is None:
-        return Entry(channel, "", "", f"could not be guessed; choices: {_listed(rest)}")
+        return _open(channel, rest)
     values = log.data[role.column]
     if role.quantity in ("position", ""):
         si = "rad" if rotates else "m"
     else:
         si = {"force": "N", "torque": "N m", "current": "A"}[role.quantity]
     return _in_unit(channel, role, si, values)
+
+
+def _open(channel: str, choices: Sequence[str]) -> Entry:
+    return Entry(channel, "", "", f"could not be guessed; choices: {_listed(choices)}")
 
 
 def _in_unit(channel: str, role: Role, si: str, values: Array) -> Entry:
@@ -359,7 +418,11 @@ def _docking(log: Log, stated: bool) -> list[Entry]:
     exact = stated or any(c == e.column for c, e in taken.items())
     poses = sum(c.startswith("pose_") for c in taken)
     sides = ("wrench_", "fz"), ("pose_", "pz")
-    if poses < (1 if exact else 2) or not all(
+    if log.bare:
+        used = {e.column for e in taken.values()}
+        rest = [n for n, r in log.roles.items() if n not in used and r.quantity != "time"]
+        taken |= {c: _open(c, rest) for c in PARTS if c not in taken}
+    elif poses < (1 if exact else 2) or not all(
         any(c.startswith(side) and c.endswith(part) for c in taken) for side, part in sides
     ):
         return []
@@ -379,7 +442,7 @@ def _along_z(role: Role) -> str:
 def _pushing(entries: Sequence[Entry], group: str, log: Log) -> list[Entry]:
     """The entries with the signs of a wrench turned if its largest force along z is a pull."""
     force = next((e for e in entries if e.channel == f"{group}.fz"), None)
-    if force is None:
+    if force is None or not force.column:
         return list(entries)
     values = _known(log.data[force.column])
     values = values - np.median(values[:FREE])
@@ -394,7 +457,7 @@ def _pushing(entries: Sequence[Entry], group: str, log: Log) -> list[Entry]:
 
 def _start(log: Log, entries: Sequence[Entry]) -> dict[str, Any]:
     """What the log shows of its scenario: rate, duration and approach."""
-    found = {e.channel: e for e in entries}
+    found = {e.channel: e for e in entries if e.column}
     if "t" not in found:
         return {}
     t = log.data[found["t"].column] * UNITS["s"].get(found["t"].unit or "s", 1.0)
@@ -465,6 +528,7 @@ def _head(path: Path, log: Log) -> list[str]:
     return [
         f"# From {log.path.name}: {len(log.names)} columns, {rows} rows. Correct the guesses:",
         f"#   hiltestbed check {path} && hiltestbed diagnose {path}",
+        *([f"# The log names no columns. They are {BARE}."] if log.bare else []),
     ]
 
 
@@ -488,6 +552,8 @@ def _rest(log: Log, entries: Sequence[Entry]) -> list[str]:
     moving = [n for n in log.names if n not in used and n in log.roles]
     still = [n for n in log.names if n not in used and n not in log.roles]
     out = [f"# not used: {_listed(moving)}"] if moving else []
+    if log.bare:
+        out = [f"# not used: {_quoted(n)}, {_range(log.data[n])}" for n in moving]
     return out + ([f"# constant, empty or no numbers: {_listed(still)}"] if still else [])
 
 

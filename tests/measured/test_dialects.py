@@ -90,12 +90,19 @@ def test_commas_that_separate_and_are_decimal_signs_cannot_be_told_apart(tmp_pat
         read_columns(tmp_path / "run.csv", frozenset(NAMES))
 
 
-def test_a_table_without_names_is_read_when_the_dataset_says_so(tmp_path: Path) -> None:
-    (tmp_path / "run.csv").write_text(written().partition("\n")[2])
-    with pytest.raises(InputError, match=r"no header.*header: 0"):
-        read_columns(tmp_path / "run.csv", frozenset(NAMES))
-    found = read_columns(tmp_path / "run.csv", frozenset({"1", "3"}), Text(header=0))
-    np.testing.assert_allclose(found.data["3"], ROWS[:, 2], rtol=1e-8)
+@pytest.mark.parametrize(
+    ("delimiter", "decimal"), [(",", "."), (";", ","), (" ", "."), ("\t", ",")]
+)
+def test_columns_without_names_are_numbered(tmp_path: Path, delimiter: str, decimal: str) -> None:
+    """No row is taken for the names; numbers above the rows are names."""
+    bare = written(delimiter, decimal).partition("\n")[2]
+    for text, name in ((bare, "3"), (f"{delimiter.join('012')}\n{bare}", "2")):
+        (tmp_path / "run.csv").write_text(text)
+        found = read_columns(tmp_path / "run.csv", frozenset({name}))
+        np.testing.assert_allclose(found.data[name], ROWS[:, 2], rtol=1e-8)
+    (tmp_path / "run.csv").write_text(bare)
+    (note,) = read_columns(tmp_path / "run.csv", frozenset(NAMES)).notes
+    assert "without names: the columns are 1, 2, ..." in note
 
 
 def test_a_text_in_place_of_a_number_is_named_with_the_key_that_reads_it(tmp_path: Path) -> None:

@@ -109,6 +109,34 @@ def test_what_cannot_be_guessed_stands_as_a_comment_with_the_choices() -> None:
     assert not look_at("odd.yaml").faults
 
 
+@pytest.mark.parametrize("swap", [False, True])
+def test_columns_without_names_are_guessed_by_their_numbers(swap: bool) -> None:
+    """Whichever of the two ends of a servo stands first."""
+    ends = (SERVO.y, SERVO.u) if swap else (SERVO.u, SERVO.y)
+    rows = pd.DataFrame(np.column_stack([*ends, 1e3 * SERVO.t]))
+    rows.to_csv("log.csv", index=False, header=False, sep=";", decimal=",")
+    found = write_from_log("arm", [Path("log.csv")])
+    assert (found.kind, found.open) == ("axis: servo", ())
+    assert "columns are 1, 2" in next(found.lines())
+    record = load_axis("arm.yaml").records[0]
+    np.testing.assert_allclose(record.t, SERVO.t, atol=1e-9)
+    np.testing.assert_allclose(record.u, SERVO.u, atol=1e-9)
+    np.testing.assert_allclose(record.y, SERVO.y, atol=1e-9)
+
+
+def test_what_a_log_without_names_does_not_tell_is_open_whatever_it_is_said_to_be() -> None:
+    rows = np.column_stack([DRIVE.t, DRIVE.u, DRIVE.y])
+    np.savetxt("log.csv", rows, delimiter=",")
+    assert write_from_log("any", [Path("log.csv")]).open == ("input", "output")
+    write_from_log("c", [Path("log.csv")], "drive")
+    filled = Path("c.yaml").read_text().replace("# input: {column: ...}", 'input: {column: "2"}')
+    filled = filled.replace("# output: {column: ...}", 'output: {column: "3"}')
+    Path("c.yaml").write_text(filled.replace("nominal: {}", "nominal: {mass: 2.0}"))
+    np.testing.assert_allclose(load_axis("c.yaml").records[0].u, DRIVE.u)
+    rig = write_from_log("rig", [Path("log.csv")], "dataset")
+    assert rig.open == ("pose_cmd.pz", "pose_act.pz", "wrench_meas.fz", "wrench_comp.fz")
+
+
 def test_text_among_the_columns_is_left_out() -> None:
     write_from_log("arm", log(t=SERVO.t, cmd=SERVO.u, position=SERVO.y, mode="auto"))
     assert "constant, empty or no numbers: mode" in Path("arm.yaml").read_text()
@@ -209,6 +237,7 @@ def test_the_command_says_what_it_wrote(tmp_path: Path) -> None:
         "open": [],
         "not_used": [],
         "other_kinds": [],
+        "notes": [],
     }
     with pytest.raises(InputError, match=r"--from absent\.csv: names no file"):
         write_from_log("other", [Path("absent.csv")])

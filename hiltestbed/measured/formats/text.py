@@ -25,6 +25,7 @@ from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
 from hiltestbed.measured.columns import (
+    STAMP,
     Columns,
     match_names,
     refuse_large,
@@ -136,14 +137,7 @@ class Text(DataFormat):
         if rows == 0:
             raise unreadable(path, "holds no names and no rows", "the first line names the columns")
         bare = recognise(*options, 0)
-        top = next(k for k, s in enumerate(sample) if s.strip())
-        shown = sample[top][:60]
-        if self.header is None and bare is not None and bare.first == top:
-            do = (
-                "name the columns in the first line, or give format: {kind: text, header: 0} and "
-                "map the columns 1, 2, ..."
-            )
-            raise unreadable(path, f"has no header (got {shown!r} as first line)", do)
+        shown = next(s for s in sample if s.strip())[:60]
         what = f"is no table of numbers below a line of names (begins with {shown!r})"
         if bare is not None and bare.rows >= HALF * (rows - bare.first):
             what += f"; its rows have {bare.width} cells, {bare}, and no line above as many names"
@@ -291,7 +285,8 @@ class Dialect:
     score: float
 
     def __str__(self) -> str:
-        place = f"names in line {self.header + 1}" if self.header >= 0 else "without names"
+        bare = "without names: the columns are 1, 2, ..."
+        place = f"names in line {self.header + 1}" if self.header >= 0 else bare
         commas = ", decimal commas" if self.decimal == "," else ""
         return (
             f"separated by {DELIMITERS.get(self.delimiter, repr(self.delimiter))}{commas}, {place}"
@@ -335,7 +330,7 @@ def recognise(
                 continue
             names = {split_unit(name)[0] for name in found.names} | set(found.names)
             comment = place >= 0 and table[place].comment
-            rank = round(found.score, 6), len(wanted & names), not comment, place
+            rank = round(found.score, 6), len(wanted & names), place >= 0, not comment, place
             if best is None or rank > best[0]:
                 best = rank, found
     return None if best is None else best[1]
@@ -352,23 +347,34 @@ def _line(text: str, delimiter: str, decimal: str) -> _Line:
     width = len(cells)
     while width and not cells[width - 1]:
         width -= 1
-    numbers = sum(_NUMBER[decimal].fullmatch(cell) is not None for cell in cells)
+    numbers = sum(bool(_NUMBER[decimal].fullmatch(c) or STAMP.fullmatch(c)) for c in cells)
     known = numbers + sum(cell in MISSING for cell in cells[:width])
     return _Line(tuple(cells), width, min(1.0, known / width) if numbers else 0.0, comment)
 
 
 def _headers(table: Sequence[_Line], given: int | None) -> list[int]:
-    """The lines that may hold the names: without numbers, or the first with some and text."""
-    if given is not None:
-        return [given - 1] if given <= len(table) else []
-    numbered = next((k for k, line in enumerate(table) if line.score), 0)
-    return [
+    """The lines that may hold the names: without numbers, or the first with some and text, or with
+    1, 2, ... or 0, 1, ...; -1: none, where neither that line nor one above it has text.
+    """
+    if given is not None or not table:
+        return [given - 1] if given is not None and given <= len(table) else []
+    numbered = next((k for k, line in enumerate(table) if line.score), -1)
+    first = table[numbered]
+    counted = any(first.cells == _counted(len(first.cells), start) for start in (0, 1))
+    named = [
         k
         for k, line in enumerate(table[:HEADER_LINES])
         if line.width
-        and (line.score == 0.0 or (k == numbered and line.score < 1.0))
+        and (line.score == 0.0 or (k == numbered and (line.score < 1.0 or counted)))
         and not (k and _units(line))
     ]
+    text = any(line.width and not line.comment for line in table[:numbered])
+    return named if text or counted or first.score < 1.0 else [*named, -1]
+
+
+def _counted(columns: int, start: int) -> tuple[str, ...]:
+    """Names that are numbers; of two columns they may as well be a row."""
+    return tuple(str(k + start) for k in range(columns)) if columns > 2 else ()
 
 
 def _units(line: _Line) -> bool:
