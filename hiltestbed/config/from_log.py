@@ -12,7 +12,6 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,12 +22,13 @@ from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.measured.columns import STAMP, Columns
 from hiltestbed.measured.formats import data_file, no_file, read_columns
-from hiltestbed.measured.plausible import correlation
 from hiltestbed.measured.roles import (
+    BARE,
     COMPENSATED,
     PUSHES,
     Role,
     angle_unit,
+    by_values,
     length_unit,
     role_of,
     time_unit,
@@ -37,11 +37,6 @@ from hiltestbed.measured.units import SI_UNIT, UNITS
 
 SHOWN = 12  # columns that a comment lists
 FREE = 20  # rows at the start of a run from which the approach is taken
-ALIKE = 0.9  # correlation of two columns without names, from which one follows the other
-BARE = (
-    "guessed by the numbers: the time rises evenly; of two columns of one size that move alike, "
-    "the earlier is the command and the later what was reached"
-)
 DAMPER = re.compile(r"damper|displac|disp\b|stroke|deflect", re.IGNORECASE)
 AXES = ("drive", "servo", "damper")
 PARTS = ("pose_cmd.pz", "pose_act.pz", "wrench_meas.fz", "wrench_comp.fz")  # of a rig, at least
@@ -223,7 +218,7 @@ def read_log(path: Path) -> Log:
     with file.open("rb") as opened:
         head = opened.read(4096).decode("utf-8", "replace")
     dates = bool(STAMP.search(head))
-    roles = _by_values({n: columns.data[n] for n in roles}) if bare else roles
+    roles = by_values({n: columns.data[n] for n in roles}) if bare else roles
     return Log(
         file,
         names,
@@ -234,30 +229,6 @@ def read_log(path: Path) -> Log:
         bare,
         known.notes if bare else (),
     )
-
-
-def _by_values(data: Mapping[str, Array]) -> dict[str, Role]:
-    """Roles of columns without names, as :data:`BARE` says; the rest is open."""
-    roles = {name: Role(name, "other", None, False, "", "") for name in data}
-    for name, values in data.items():
-        steps = np.diff(_known(values))
-        if steps.min() > 0.0 and np.ptp(steps) < np.mean(steps):
-            roles[name] = roles[name]._replace(quantity="time")
-            break
-    rest = [name for name, role in roles.items() if role.quantity != "time"]
-    pairs = [
-        (correlation(data[a], data[b]), a, b)
-        for a, b in combinations(rest, 2)
-        if 0.5 < np.ptp(_known(data[a])) / np.ptp(_known(data[b])) < 2.0
-    ]
-    alike, a, b = max(pairs, default=(0.0, "", ""))
-    if alike > ALIKE:
-        # b(t) = a(t - tau): the sum of (a - b)(a + b)' is tau times that of the slopes' squares
-        both = np.stack([data[a], data[b]])[:, np.isfinite(data[a] + data[b])]
-        leads = np.sum((both[0] - both[1]) * np.gradient(both[0] + both[1])) >= 0.0
-        for name, commanded in ((a, leads), (b, not leads)):
-            roles[name] = Role(name, "position", bool(commanded), False, "", "")
-    return roles
 
 
 def _moves(values: Array) -> bool:

@@ -1,14 +1,18 @@
-"""What a column of a log may be, by its name and the unit that the file or the name states."""
+"""What a column of a log may be, by its name and the unit that the file or the name states; without
+a name, by its numbers.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from hiltestbed.frames import Array
+from hiltestbed.measured.plausible import correlation
 from hiltestbed.measured.units import UNITS, split_unit, unit_named
 
 # what words in a name stand for; of several, the last one counts
@@ -40,6 +44,11 @@ SUFFIXES = {
     if token not in ("d", "h", "min", "in")
     for unit in (token,)
 } | {"sec": "s", "seconds": "s", "degrees": "deg", "degree": "deg", "a": "A", "ma": "mA", "v": "V"}
+ALIKE = 0.9  # correlation of two columns without names, from which one follows the other
+BARE = (
+    "guessed by the numbers: the time rises evenly; of two columns of one size that move alike, "
+    "the earlier is the command and the later what was reached"
+)
 NO_MECHANICAL = {"A": "current", "mA": "current", "V": "other", "mV": "other"}
 QUANTITY_OF = {"s": "time", "m": "position", "rad": "position", "N": "force", "N m": "torque"}
 ANGLES = {"roll": "rx", "pitch": "ry", "yaw": "rz", "rx": "rx", "ry": "ry", "rz": "rz"}
@@ -117,11 +126,39 @@ _KNOWN: Mapping[str, frozenset[str]] = {q: _set(words) for q, words in WORDS.ite
 _COMMANDED, _REACHED, _ANGULAR = _set(COMMANDED), _set(REACHED), _set(ANGULAR)
 
 
+def by_values(data: Mapping[str, Array]) -> dict[str, Role]:
+    """Roles of columns without names, as :data:`BARE` says; the rest is open."""
+    roles = {name: Role(name, "other", None, False, "", "") for name in data}
+    for name, values in data.items():
+        steps = np.diff(_finite(values))
+        if steps.min() > 0.0 and np.ptp(steps) < np.mean(steps):
+            roles[name] = roles[name]._replace(quantity="time")
+            break
+    rest = [name for name, role in roles.items() if role.quantity != "time"]
+    pairs = [
+        (correlation(data[a], data[b]), a, b)
+        for a, b in combinations(rest, 2)
+        if 0.5 < np.ptp(_finite(data[a])) / np.ptp(_finite(data[b])) < 2.0
+    ]
+    alike, a, b = max(pairs, default=(0.0, "", ""))
+    if alike > ALIKE:
+        # b(t) = a(t - tau): the sum of (a - b)(a + b)' is tau times that of the slopes' squares
+        both = np.stack([data[a], data[b]])[:, np.isfinite(data[a] + data[b])]
+        leads = np.sum((both[0] - both[1]) * np.gradient(both[0] + both[1])) >= 0.0
+        for name, commanded in ((a, leads), (b, not leads)):
+            roles[name] = Role(name, "position", bool(commanded), False, "", "")
+    return roles
+
+
+def _finite(values: Array) -> Array:
+    return values[np.isfinite(values)]
+
+
 def time_unit(t: Array) -> tuple[str, str]:
     """The unit of stamps ``(rows,)`` that state none, and why: the one in which the sample rate
     lies between 2 Hz and 20 kHz, the largest where several do.
     """
-    known = t[np.isfinite(t)]
+    known = _finite(t)
     step = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
     for unit, rate in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
         if step > 0.0 and 2.0 <= rate / step <= 2e4:
