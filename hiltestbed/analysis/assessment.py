@@ -293,8 +293,7 @@ def _advice(summary: dict[str, Any]) -> list[str]:
             cure = (
                 "Lower the approach speed, or raise the limit under `safety` if the rig allows it; "
                 "what a drive cannot exert, no limit gives: ask less of it by another compensation "
-                "(`hiltestbed rank` tries all), or `resynchronised` with --set "
-                "compensation.force.blending=0.01."
+                "(`hiltestbed rank` tries all)."
             )
         return [
             "Replay the last ticks with hiltestbed.replay_failure(FOLDER) and see which quantity "

@@ -8,9 +8,12 @@ from collections.abc import Callable, Hashable, Iterator
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hiltestbed.config.validation import Problem
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.errors import InputError
+from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose
 from hiltestbed.platform.facilities.air_bearing import AirBearing
 from hiltestbed.platform.facilities.bodies import Article, PhysicalFacility
@@ -92,6 +95,16 @@ def alike(scenario: Scenario) -> Hashable:
     if isinstance(facility, PhysicalFacility):
         return facility.alike(), scenario.spacecraft.model_dump_json()
     return facility.alike()
+
+
+def force_shares(scenario: Scenario) -> Array:
+    """``(J, 6)`` share of the drives' forces that an acceleration of the active side takes
+    [s^2/m, s^2/rad]; none without simulated drives.
+    """
+    platform = scenario.rig.platform
+    if platform.prescribed or platform.physical:
+        return np.zeros((0, 6))
+    return built(platform).force_shares
 
 
 def nearest_bandwidth(scenario: Scenario) -> float:

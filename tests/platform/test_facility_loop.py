@@ -15,6 +15,7 @@ from hiltestbed import load_scenario, read_run
 from hiltestbed.campaign.sweep import sweep
 from hiltestbed.errors import InputError
 from hiltestbed.loop import Loop
+from hiltestbed.platform.build import force_shares
 from hiltestbed.run_folder.store import write_run
 from hiltestbed.scenario import Scenario, dump_scenario
 from hiltestbed.signals import Trace
@@ -167,6 +168,34 @@ def test_a_rig_of_the_users_own_docks() -> None:
     done = run(shipped("09-docking", keys)).summary
     assert done["outcome"] == "captured"
     assert done["tracking_error"] < 2e-3
+
+
+def test_an_acceleration_takes_of_a_drive_the_mass_above_it_over_the_force_beyond_the_weight() -> (
+    None
+):
+    shares = force_shares(bounce("mjcf"))
+    above = np.array([645.0, 385.0, 205.0])  # [kg] moved by x, y and z
+    left = 3.0e4 - np.array([0.0, 0.0, 205.0 * 9.81])  # [N]
+    np.testing.assert_allclose(np.diag(shares)[:3], above / left, rtol=1e-6)
+    np.testing.assert_allclose(shares[:3, :3], np.diag(above / left), atol=1e-9)
+    assert force_shares(bounce("mjcf", tracking="ideal")).shape == (0, 6)
+
+
+def test_a_correction_asks_no_more_of_an_arm_than_its_drives_can_give() -> None:
+    """Force and arm are 17 ms late together; within the 2 ms of `blending` the correction would
+    take 30 m/s^2 of 27.
+    """
+    late = {
+        "duration": 0.4,
+        "approach.velocity": [0.0, 0.0, 0.1],
+        "mechanism.contact": {"stiffness": 1.0e6, "damping": 1300.0},
+        "rig.platform": {"kind": "serial_arm"},
+        "compensation.force": {"kind": "resynchronised"},
+        "identification": {"kind": "none"},
+    }
+    summary = run(hiltestbed.load_scenario("reference-bumper", late)).summary
+    assert summary["status"] == "completed"
+    assert abs(summary["cor_log_error"]) < 0.01
 
 
 def test_a_joint_past_its_limit_stops_the_run() -> None:

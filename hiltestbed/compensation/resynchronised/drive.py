@@ -13,7 +13,8 @@ are used:
   impulse and its second integral are applied to the bodies at once.
 - The *commanded model* is the numerical model that the rig follows. It is driven with the predicted
   wrench, and drawn to the predicted state like a critically damped spring would, so that a
-  correction of the prediction does not jerk the platform.
+  correction of the prediction does not jerk the platform. The spring is softer where the drives
+  could not follow it.
 
 After capture all six axes act at once, and
 :mod:`hiltestbed.compensation.force_methods.reconstruction` provides the wrench.
@@ -64,6 +65,10 @@ from hiltestbed.sensor.chain import FILTERED, filters_of, high_pass, low_pass
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
+# Part of a drive's force that a correction may take; the rest is for the contact and the position
+# loop, whose answer to a step of force may reach as much again. At 0.73 of it the shipped arm with
+# drives of 6 Hz reached its limit.
+SHARE = 0.5
 SYNC_LIMIT = 0.5  # largest blending rate per tick at which the semi-implicit step is accurate
 Integers = NDArray[np.int64]
 
@@ -88,6 +93,7 @@ class Setup(NamedTuple):
     skip: Integers  # samples skipped after the touch because of the low-pass's memory
     sigma: Array  # (n, 2) noise of forces and torques
     blend: Array  # [rad/s]
+    shares: Array  # (n, J, 6) of the drives' forces that an acceleration takes
     estimate: Array  # whether the delay is fitted
 
 
@@ -141,11 +147,13 @@ class PredictionParameters(NamedTuple):
     Attributes:
         blending: [s] time constant of corrections. estimate: whether the delay is corrected.
         known: stiffness [N/m], damping [N s/m] and touch [m] of a contact identified beforehand.
+        shares: (J, 6) of the drives' forces that an acceleration takes [s^2/m, s^2/rad].
     """
 
     blending: float
     estimate: bool
     known: tuple[float, float, float] | None
+    shares: Array
 
 
 class ResynchronisedDrive:
@@ -211,6 +219,7 @@ def _setup(scenarios: Sequence[Scenario], given: Sequence[PredictionParameters],
         skip=np.ceil(FILTER_MEMORY * lowpass / h).astype(np.int64),
         sigma=np.array([[s.sensor.noise, s.sensor.torque_noise] for s in scenarios]),
         blend=np.array([min(1.0 / f.blending, SYNC_LIMIT / h) for f in given]),
+        shares=np.array([f.shares for f in given]),
         estimate=np.array([int(f.estimate) for f in given]),
     )
     ideal = scenarios[0].rig.platform.prescribed
@@ -277,7 +286,7 @@ def _follow(m, q, pose, twist, predicted_pose, predicted_twist, predicted, wrenc
     h, bodies, blend = m.tick, m.bodies, m.setup.blend
     work = np.empty((SCRATCH, 7))
     matrix, factor = np.empty((6, 6)), np.empty((6, 6))
-    free, offset, at_A = np.empty(6), np.empty(6), np.empty(6)
+    free, offset, slower, at_A = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
     between, turn = np.empty(4), np.empty(3)
     for i in range(pose.shape[0]):
         mobility(
@@ -291,13 +300,32 @@ def _follow(m, q, pose, twist, predicted_pose, predicted_twist, predicted, wrenc
         quat_conj_mul(pose[i, 3:7], predicted_pose[i, 3:7], between)
         rotation_vector(between, turn)
         rotate(pose[i, 3:7], turn, offset[3:6])
-        gain = blend[i]
         for a in range(3):
             offset[a] = predicted_pose[i, a] - pose[i, a]
         for a in range(6):
             offset[a] -= h * free[a]
-            offset[a] = -gain * (gain * offset[a] + 2.0 * (predicted_twist[i, a] - free[a]))
+            slower[a] = predicted_twist[i, a] - free[a]
+        gain = _bearable(blend[i], m.setup.shares[i], offset, slower)
+        for a in range(6):
+            offset[a] = -gain * (gain * offset[a] + 2.0 * slower[a])
         solve(matrix, offset, factor)
         for a in range(6):
             at_A[a] += offset[a]
         wrench_at_P(at_A, pose[i], wrench[i])
+
+
+@njit(cache=True, inline="always")
+def _bearable(gain, shares, offset, slower):
+    """The ``gain`` [rad/s] of the pull for offsets (6,) of pose and twist, or the one at which it
+    takes at most :data:`SHARE` of each drive: gain^2 far + 2 gain fast = SHARE.
+    """
+    far, fast = 0.0, 0.0
+    for j in range(shares.shape[0]):
+        x, v = 0.0, 0.0
+        for a in range(6):
+            x += shares[j, a] * offset[a]
+            v += shares[j, a] * slower[a]
+        far, fast = max(far, abs(x)), max(fast, abs(v))
+    if gain * (gain * far + 2.0 * fast) <= SHARE:
+        return gain
+    return SHARE / (fast + np.sqrt(fast * fast + SHARE * far))

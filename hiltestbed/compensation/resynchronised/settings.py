@@ -52,7 +52,7 @@ class Resynchronised(ForceMethod):
     blending: Positive = Field(
         default=0.002,
         description="Time constant with which corrections of the prediction are blended into the "
-        "command [s]",
+        "command [s]; a correction for which half the force of a drive is too little takes longer",
     )
     reads: ClassVar[frozenset[Input]] = frozenset(
         {"wrench", "pose", "twist", "identified", "captured", "model"}
@@ -65,12 +65,14 @@ class Resynchronised(ForceMethod):
             PredictionParameters,
             ResynchronisedDrive,
         )
+        from hiltestbed.platform.build import force_shares
 
         given = []
-        for force in force_of(scenarios, cls):
-            c = force.contact
+        for force, scenario in zip(force_of(scenarios, cls), scenarios, strict=True):
+            c, shares = force.contact, force_shares(scenario)
             known = None if c is None else (c.stiffness, c.damping, c.touch)
-            given.append(PredictionParameters(force.blending, force.delay == "estimate", known))
+            estimate = force.delay == "estimate"
+            given.append(PredictionParameters(force.blending, estimate, known, shares))
         return ResynchronisedDrive(model, scenarios, given)
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:

@@ -20,6 +20,7 @@ import numpy as np
 from hiltestbed.config.models import load
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array
+from hiltestbed.platform.facilities.demand import force_shares
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.mover import Mover, Runs
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
@@ -82,9 +83,20 @@ class Facility(ABC):
         return self.kind
 
     @cached_property
+    def _bare_model(self) -> mujoco.MjModel:
+        return compiled(self.spec())
+
+    @cached_property
     def bare(self) -> Kinematics:
         """Geometry of the facility without a mechanism, for checks before a run."""
-        return self.kinematics(compiled(self.spec()))
+        return self.kinematics(self._bare_model)
+
+    @cached_property
+    def force_shares(self) -> Array:
+        """``(J, 6)`` share of the drives' forces that an acceleration of the mount takes, see
+        :func:`hiltestbed.platform.facilities.demand.force_shares`.
+        """
+        return force_shares(self._bare_model, self.bare)
 
     def complaints(self, pose: Array, tool: Array = TOOL_HOME) -> list[str]:
         """Why the facility cannot bring A to ``pose`` (7,) in P; ``tool`` (7,) is the pose of A in
