@@ -82,7 +82,7 @@ def run(
     if result.summary["status"] != "completed":
         print(
             f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its "
-            f"state is in {folder}",
+            f"state is in {folder}. {result.assessment.advice[-1]}",
             file=sys.stderr,
         )
         raise typer.Exit(3)
