@@ -143,6 +143,16 @@ def test_a_page_with_a_picture_names_the_command_that_made_it() -> None:
             assert re.search(r"`[^`]*(python docs/examples/|hiltestbed view )[^`]*`", text), page
 
 
+def test_a_table_of_figures_stands_with_the_command_that_makes_them() -> None:
+    """In its section; four decimals or more make a table one of figures."""
+    for page in (*DOCS.rglob("*.md"), ROOT / "README.md"):
+        for section in re.split(r"^(?=#+ )", page.read_text(), flags=re.MULTILINE):
+            tables = re.findall(r"(?:^\|.*\n)+", section, flags=re.MULTILINE)
+            if any(len(re.findall(r"\d\.\d", table)) > 3 for table in tables):
+                named = re.search(r"hiltestbed\s+[a-z]+|python |pytest ", section)
+                assert named, f"{page.name}: {section.splitlines()[0]}"
+
+
 LINK = re.compile(r"\]\((?!https?://|mailto:|#)([^)#]+)")
 BESIDE = ("README", "CHANGELOG", "CONTRIBUTING", "SECURITY", "SUPPORT")
 
