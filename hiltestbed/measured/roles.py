@@ -100,7 +100,7 @@ def role_of(column: str, stated: str = "") -> Role:
 
 
 def _part(tokens: list[str], quantity: str) -> str:
-    tokens = [token for token in tokens if token not in _COMMANDED | _REACHED]
+    tokens = [token for token in tokens if token not in _COMMANDED | _REACHED | _COMPENSATED]
     last = "".join(tokens[-1:])
     if last in ANGLES:
         return ANGLES[last]
@@ -124,6 +124,7 @@ def _set(words: str) -> frozenset[str]:
 
 _KNOWN: Mapping[str, frozenset[str]] = {q: _set(words) for q, words in WORDS.items()}
 _COMMANDED, _REACHED, _ANGULAR = _set(COMMANDED), _set(REACHED), _set(ANGULAR)
+_COMPENSATED = _set(COMPENSATED)
 
 
 def by_values(data: Mapping[str, Array]) -> dict[str, Role]:
@@ -156,12 +157,12 @@ def _finite(values: Array) -> Array:
 
 def time_unit(t: Array) -> tuple[str, str]:
     """The unit of stamps ``(rows,)`` that state none, and why: the one in which the sample rate
-    lies between 2 Hz and 20 kHz, the largest where several do.
+    lies between 10 Hz and 20 kHz, the largest where several do.
     """
     known = _finite(t)
     step = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
     for unit, rate in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
-        if step > 0.0 and 2.0 <= rate / step <= 2e4:
+        if step > 0.0 and 10.0 <= rate / step <= 2e4:
             return unit, f"by its steps of {step:.4g}, {rate / step:.4g} Hz"
     return "s", f"its steps of {step:.4g} fit none"
 

@@ -75,7 +75,14 @@ def test_an_angle_without_a_unit_is_told_by_its_size(scale: float, unit: str) ->
 
 @pytest.mark.parametrize(
     ("factor", "rate", "unit"),
-    [(1.0, 1000, "s"), (1e3, 1000, "ms"), (1e3, 50, "ms"), (1e6, 100, "us"), (1e9, 1000, "ns")],
+    [
+        (1.0, 1000, "s"),
+        (1e3, 1000, "ms"),
+        (1e3, 50, "ms"),
+        (1e3, 2000, "ms"),
+        (1e6, 100, "us"),
+        (1e9, 1000, "ns"),
+    ],
 )
 def test_the_unit_of_stamps_is_told_by_their_steps(factor: float, rate: int, unit: str) -> None:
     assert time_unit(factor * np.arange(100) / rate)[0] == unit
@@ -249,6 +256,7 @@ def test_the_command_says_what_it_wrote(tmp_path: Path) -> None:
         ("current_position", "position", "", ""),
         ("motor_current_A", "current", "", "A"),
         ("Fz [kN]", "force", "fz", "kN"),
+        ("Fz_comp [N]", "force", "fz", "N"),
         ("force_kN", "force", "", "kN"),
         ("z_cmd_mm", "position", "pz", "mm"),
         ("ft.wrench.torque.x", "torque", "tx", ""),
