@@ -257,12 +257,13 @@ def diagnose(
     """
     from hiltestbed.axis.dataset import is_axis
     from hiltestbed.compiled.warm import tell_of_compiling
+    from hiltestbed.config.dataset import label_of
     from hiltestbed.config.yaml_source import read_source
     from hiltestbed.diagnosis.report.folder import DIAGNOSIS
     from hiltestbed.process.progress import step_line
 
     tell_of_compiling()
-    label = dataset.stem if dataset.stem != "dataset" else dataset.resolve().parent.name
+    label = label_of(dataset)
     folder = result_folder(out, f"diagnosis-{safe_name(label)}", DIAGNOSIS)
     source = read_source(dataset)
     with step_line(label) as progress:

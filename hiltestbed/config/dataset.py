@@ -131,6 +131,11 @@ class LoadedDataset:
     files: tuple[Path, ...]
 
 
+def label_of(path: Path) -> str:
+    """What a dataset without a name is called: its file, or the folder of a `dataset.yaml`."""
+    return path.stem if path.stem != "dataset" else path.resolve().parent.name
+
+
 def load_dataset(path: str | Path, set: Mapping[str, Any] | None = None) -> LoadedDataset:
     """The dataset in a YAML file, keys overridden by `set`. Raises InputError with every fault."""
     return dataset_from(read_source(path).with_set(set))

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.config.dataset import LoadedDataset
+from hiltestbed.config.dataset import LoadedDataset, label_of
 from hiltestbed.diagnosis.further import (
     MEASURED,
     Further,
@@ -187,7 +187,7 @@ def _shown(s: Detectable, alike: set[str]) -> PlannedEffect:
 
 
 def _name(task: Scenario | LoadedDataset) -> str:
-    return task.name if isinstance(task, Scenario) else task.spec.name or task.path.parent.name
+    return task.name if isinstance(task, Scenario) else task.spec.name or label_of(task.path)
 
 
 def _products(residual: Residual, shown: Sequence[Detectable]) -> Array:

@@ -4,6 +4,7 @@ loop, the next experiment.
 
 from __future__ import annotations
 
+from hiltestbed.config.dataset import label_of
 from hiltestbed.diagnosis.closed_loop import closed_loop, simulate_runs
 from hiltestbed.diagnosis.next_run import next_experiment
 from hiltestbed.diagnosis.report.diagnosis import Diagnosis
@@ -37,7 +38,7 @@ def conclude(dataset: MeasuredDataset, finding: Finding, seconds: float | None =
         if p.extended is None and p.nominal is not None
     ]
     return Diagnosis(
-        name=dataset.spec.name or dataset.path.parent.resolve().name or dataset.nominal.name,
+        name=dataset.spec.name or label_of(dataset.path),
         finding=finding,
         residuals=channel_residuals(finding.series, finding.noise, bool(causes or finding.partial)),
         closed_loop=closed_loop(dataset, simulated),
