@@ -62,7 +62,8 @@ class Read:
                 into.setdefault(name, []).extend(batch.column(name).to_pylist())
 
     def times(self, entity: str) -> Array:
-        return np.array([t.total_seconds() for t in self.moving[entity]["time"]])
+        # pandas before 3.1 cuts the nanoseconds off what it calls total seconds
+        return np.array([t / np.timedelta64(1, "s") for t in self.moving[entity]["time"]])
 
     def values(self, entity: str, component: str) -> Array:
         """``(rows, instances, ...)``, squeezed."""
