@@ -2,7 +2,8 @@
 
     MUJOCO_GL=egl python docs/examples/mechanisms.py        # or MUJOCO_GL=glfw on a desktop
 
-Writes docs/mechanism-*.png: both sides apart, the active one below; the drogue is seen through.
+Writes docs/mechanism-*.png: both sides apart, the active one below; cone and drogue are seen
+through.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ class View(NamedTuple):
 
 
 VIEWS = {
+    "bumper": View(0.16, (0.0, 0.0, -0.12), 2.0, 100.0, -10.0),
+    "probe_cone": View(0.16, (0.0, 0.0, -0.22), 1.9, 100.0, -8.0, glass=("passive_shell",)),
     "idss_ring": View(0.45, (0.0, 0.0, -0.34), 2.45, 100.0, -13.0),
     "probe_drogue": View(0.16, (0.0, 0.0, -0.25), 1.75, 100.0, -6.0, glass=("passive_shell",)),
     "marman_gripper": View(0.34, (0.0, 0.0, -0.22), 2.15, 105.0, -15.0),
@@ -86,7 +89,7 @@ def picture(name: str, view: View) -> Image.Image:
         view.elevation,
     )
     option = mujoco.MjvOption()
-    option.geomgroup[:], option.sitegroup[:] = 1, 0
+    option.geomgroup[:], option.sitegroup[:] = [1, 1, 1, 0, 0, 0], 0  # 3: what only collides
     with mujoco.Renderer(model, HEIGHT * SMOOTH, WIDTH * SMOOTH) as renderer:
         renderer.update_scene(data, camera, option)
         pixels = renderer.render()
