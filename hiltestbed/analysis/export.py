@@ -1,8 +1,9 @@
 """The extended model of a diagnosis as MJCF: what MuJoCo can say of it, and what it cannot.
 
-Of one axis see :mod:`hiltestbed.axis.mjcf`. Of a docking rig both vehicles float, a ball on a plate
-stands for the mechanism with its stiffness, damping and friction as solref and solimp, and a
-platform that departs from its nominal response is an axis of its own beside them.
+Of one axis see :mod:`hiltestbed.axis.mjcf`, of an arm :mod:`hiltestbed.axis.arm_mjcf`. Of a docking
+rig both vehicles float, a ball on a plate stands for the mechanism with its stiffness, damping and
+friction as solref and solimp, and a platform that departs from its nominal response is an axis of
+its own beside them.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ import mujoco
 
 from hiltestbed.analysis.mujoco_contact import RADIUS, mujoco_parameters
 from hiltestbed.analysis.spring_damper import SpringDamper, reduced_mass
-from hiltestbed.axis.dataset import AxisDataset, is_axis
+from hiltestbed.axis.arm_mjcf import arm_mjcf
+from hiltestbed.axis.dataset import ArmDataset, AxisDataset, arm_of, is_axis
 from hiltestbed.axis.mjcf import axis_mjcf, axis_model, listed, mjcf_text, number
 from hiltestbed.config.validation import validate
 from hiltestbed.config.yaml_source import read_source
@@ -95,11 +97,11 @@ def exported(folder: Path) -> Exported:
     source = read_source(folder / EXTENDED)
     if is_axis(source):
         if source.data["axis"] == "arm":
-            raise InputError(
-                f"{folder}: is that of an arm, which has a model already; what was found, by joint "
-                f"and body, is under effects: of {folder / EXTENDED}"
-            )
-        text, said, unsaid = axis_mjcf(validate(AxisDataset, source), head)
+            spec = validate(ArmDataset, source)
+            found = arm_mjcf(arm_of(spec, source), spec.effects, head)
+        else:
+            found = axis_mjcf(validate(AxisDataset, source), head)
+        text, said, unsaid = found
         return Exported(text, tuple(said), tuple(unsaid))
     return _rig(scenario_from(source), head)
 

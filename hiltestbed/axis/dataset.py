@@ -262,9 +262,8 @@ def load_axis(path: str | Path | Source, data: bool = True) -> LoadedAxis:
     faults = list(_faults(spec, source))
     arm = None
     if isinstance(spec, ArmDataset):
-        given = {n: j.model_dump(exclude_none=True) for n, j in spec.joints.items()}
         try:
-            arm = read_arm(source.folder / os.path.expandvars(spec.model), given)
+            arm = arm_of(spec, source)
         except InputError as error:
             faults.append(source.fault(("model",), str(error)))
         else:
@@ -286,6 +285,12 @@ def load_axis(path: str | Path | Source, data: bool = True) -> LoadedAxis:
     if len(set(names)) < len(names):
         records = [r._replace(name=f"{i}: {r.name}") for i, r in enumerate(records)]
     return LoadedAxis(spec, Path(source.file), source, tuple(records), tuple(remarks), arm)
+
+
+def arm_of(spec: ArmDataset, source: Source) -> Arm:
+    """The nominal arm of a file. Raises InputError as :func:`read_arm`."""
+    given = {n: j.model_dump(exclude_none=True) for n, j in spec.joints.items()}
+    return read_arm(source.folder / os.path.expandvars(spec.model), given)
 
 
 def _misplaced(spec: ArmDataset, arm: Arm, source: Source) -> Iterator[Fault]:

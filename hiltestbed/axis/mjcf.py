@@ -3,14 +3,14 @@
 A drive is a joint with damping, dry friction, a spring and gravity under a motor. A servo is a
 joint of unit mass under a position controller (`pid` where it integrates or its speed is limited)
 whose control is delayed and filtered by the actuator; play is a second joint behind it. A damper
-is a joint whose motion is given.
+is a joint whose motion is given. For an arm see :mod:`hiltestbed.axis.arm_mjcf`.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -34,24 +34,28 @@ OVERDAMPED = 0.01  # of a step: time in which the mass between a spring and a da
 
 @dataclass
 class MjcfModel:
-    """A model under construction.
+    """A model of one joint under construction.
 
     Attributes:
-        rotates: whether the joint is a hinge. inertia: of the joint [kg] or [kg m^2]. pos: centre
-            of mass [m] in the body's frame, for the moment of gravity. joint: its attributes.
-            actuators, bodies, tendons: elements. output: joint that is the position. mass: of the
-            axis's body [kg]. step: [s]. gravity: [m/s^2], along -z. said: what MuJoCo
-            says, and how; unsaid: what it cannot, and why.
+        rotates: whether the joint is a hinge. name: of the joint. prefix: of the names of its
+            actuators and its sensor. direction: (3,) of the joint in its body's frame. inertia: of
+            the joint [kg] or [kg m^2]. pos: centre of mass [m] in the body's frame, for the moment
+            of gravity. joint: its attributes. actuators, bodies, tendons: elements. output: joint
+            that is the position. mass: of the axis's body [kg]. step: [s]. gravity: [m/s^2], along
+            -z. said: what MuJoCo says, and how; unsaid: what it cannot, and why.
     """
 
     rotates: bool
+    name: str = "axis"
+    prefix: str = ""
+    direction: Sequence[float] = ()
     inertia: float = 1.0
     pos: tuple[float, float, float] = (0.0, 0.0, 0.0)
     joint: dict[str, float | str] = field(default_factory=dict)
     actuators: list[str] = field(default_factory=list)
     bodies: list[str] = field(default_factory=list)
     tendons: list[str] = field(default_factory=list)
-    output: str = "axis"
+    output: str = ""
     mass: float = 1.0
     step: float = STEP
     gravity: float = 0.0
@@ -65,7 +69,7 @@ class MjcfModel:
             f'<inertial pos="{listed(self.pos)}" mass="{number(self.mass)}" '
             f'diaginertia="{listed([about] * 3)}"/>'
         )
-        axis = f'<body name="axis">{self.joint_text("axis", self.joint)}{inertial}</body>'
+        axis = f'<body name="{self.name}">{self.joint_text(self.name, self.joint)}{inertial}</body>'
         return [axis, *self.bodies]
 
     def option(self) -> str:
@@ -75,11 +79,12 @@ class MjcfModel:
         )
 
     def sensor(self) -> str:
-        return f'<jointpos name="position" joint="{self.output}"/>'
+        return f'<jointpos name="{self.prefix}position" joint="{self.output or self.name}"/>'
 
     def joint_text(self, name: str, attributes: Mapping[str, float | str]) -> str:
         """A joint of the axis's kind; its friction is nearly hard."""
-        kind = 'type="hinge" axis="0 1 0"' if self.rotates else 'type="slide" axis="1 0 0"'
+        direction = listed(self.direction or ((0.0, 1.0, 0.0) if self.rotates else (1.0, 0.0, 0.0)))
+        kind = f'type="{"hinge" if self.rotates else "slide"}" axis="{direction}"'
         given = {k: number(v) for k, v in attributes.items() if v}
         if "frictionloss" in given:
             given |= {"solreffriction": f"{number(2.0 * self.step)} 1"}
@@ -94,12 +99,21 @@ class MjcfModel:
         inertial = f'<inertial pos="0 0 0" mass="{size}" diaginertia="{size} {size} {size}"/>'
         self.bodies.append(f'<body name="{name}">{joint}{inertial}</body>')
 
+    def motor(self, gain: float) -> None:
+        """What drives the joint: its control is the input."""
+        self.actuators.append(
+            f'<motor name="{self.prefix}input" joint="{self.name}" gear="{number(gain)}"/>'
+        )
+        self.said.append(
+            f"input of the drive: control of the motor, held from row to row, gear {gain:.6g}"
+        )
+
     def load(self, force: float) -> None:
         """A constant force in the positive direction."""
         if force:
             self.actuators.append(
-                '<general name="load" joint="axis" gainprm="0" biastype="affine" '
-                f'biasprm="{number(force)} 0 0"/>'
+                f'<general name="{self.prefix}load" joint="{self.name}" gainprm="0" '
+                f'biastype="affine" biasprm="{number(force)} 0 0"/>'
             )
 
 
@@ -119,7 +133,7 @@ def mjcf_text(
     lines = ["<!--"]
     # two strokes would end the comment
     lines += ["  " + re.sub("-(?=-)", "- ", note).rstrip("-") for note in notes]
-    lines += ["-->", '<mujoco model="extended">', f"  {option}"]
+    lines += ["-->", '<mujoco model="extended">', '  <compiler angle="radian"/>', f"  {option}"]
     for name, elements in sections.items():
         if elements:
             lines += [f"  <{name}>", *(f"    {e}" for e in elements), f"  </{name}>"]
@@ -151,8 +165,8 @@ def axis_model(spec: AxisDataset) -> MjcfModel:
     return model
 
 
-def _resistance(model: MjcfModel, law: AxisLaw) -> None:
-    """Damping, friction, spring and a constant force: of a drive and of a damper."""
+def resistance(model: MjcfModel, law: AxisLaw) -> None:
+    """Damping, friction, spring and a constant force: of a drive, a damper, a joint of an arm."""
     n = law.numbers
     forward, back = n[of.VISCOUS], n[of.VISCOUS_BACK]
     power = round(n[of.POWER]) if n[of.POWER] in (1.0, 2.0, 3.0) else 1
@@ -198,12 +212,9 @@ def _resistance(model: MjcfModel, law: AxisLaw) -> None:
 
 def _drive(model: MjcfModel, law: AxisLaw) -> None:
     n = law.numbers
-    model.actuators.append(f'<motor name="input" joint="axis" gear="{number(n[of.GAIN])}"/>')
-    model.said.append(
-        f"input of the drive: control of the motor, held from row to row, gear {n[of.GAIN]:.6g}"
-    )
+    model.motor(n[of.GAIN])
     _inertia(model, n[of.MASS], n[of.GRAVITY_SIN], n[of.GRAVITY_COS])
-    _resistance(model, law)
+    resistance(model, law)
 
 
 def _inertia(model: MjcfModel, inertia: float, sine: float, cosine: float) -> None:
@@ -321,7 +332,7 @@ def _damper(model: MjcfModel, law: AxisLaw) -> None:
     )
     if mass:
         _inertia(model, mass, 0.0, 0.0)
-    _resistance(model, law)
+    resistance(model, law)
     for level, stiffness, shape in law.sliders:
         if level:
             model.joint["frictionloss"] = float(model.joint.get("frictionloss", 0.0)) + float(level)
@@ -344,6 +355,6 @@ def number(value: float | str) -> str:
     return value if isinstance(value, str) else f"{float(value):.9g}"
 
 
-def listed(values: Sequence[float]) -> str:
+def listed(values: Iterable[float]) -> str:
     """Numbers as an attribute."""
     return " ".join(map(number, values))

@@ -4,6 +4,7 @@ found by Pinocchio's regressor.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,11 @@ import pytest
 import yaml
 
 import hiltestbed
-from hiltestbed.axis.arm import read_arm
-from hiltestbed.axis.dataset import load_axis
+from hiltestbed.analysis.export import export_mjcf
+from hiltestbed.axis.arm import Arm, ArmModel, ArmRun, read_arm
+from hiltestbed.axis.arm_mjcf import arm_mjcf
+from hiltestbed.axis.dataset import ArmDataset, load_axis
+from hiltestbed.axis.diagnose import AxisDiagnosis
 from hiltestbed.axis.law import VISCOUS as VISCOUS_AT
 from hiltestbed.axis.motion import Motion
 from hiltestbed.axis.result import CLOSE
@@ -91,8 +95,17 @@ channels:
     return where
 
 
-def test_friction_of_each_joint_and_the_mass_of_a_body_are_found(folder: Path) -> None:
-    found = hiltestbed.diagnose(folder / "arm.yaml")
+@pytest.fixture(scope="module")
+def found(folder: Path) -> AxisDiagnosis:
+    diagnosis = hiltestbed.diagnose(folder / "arm.yaml")
+    assert isinstance(diagnosis, AxisDiagnosis)
+    diagnosis.write(folder / "found")
+    return diagnosis
+
+
+def test_friction_of_each_joint_and_the_mass_of_a_body_are_found(
+    folder: Path, found: AxisDiagnosis
+) -> None:
     told = {
         (c.effect, c.parameters.get("joint", c.parameters.get("body", ("",)))[0]): c
         for c in found.causes
@@ -107,16 +120,106 @@ def test_friction_of_each_joint_and_the_mass_of_a_body_are_found(folder: Path) -
     for joint in COULOMB:
         friction = told["dynamics.force", joint].parameters
         for name, planted in (("coulomb", COULOMB[joint]), ("viscous", VISCOUS[joint])):
-            value, (low, high), unit = friction[name]
+            value, ends, unit = friction[name]
+            assert ends is not None
+            low, high = ends
             assert unit == {"coulomb": "N m", "viscous": "N m s/rad"}[name]
             assert value == pytest.approx(planted, rel=0.01)
             assert low < planted < high
     each = found.to_json()["residuals"]
     assert [r["run"] for r in each] == [f"run_{n}.csv" for n in range(3)]
     assert all(r["white"] and r["rms_extended"] < CLOSE * r["noise_floor"] for r in each)
-    extended = load_axis(found.write(folder / "found") / "extended.yaml").model()
+    extended = load_axis(folder / "found" / "extended.yaml").model()
     left = extended.scored(Hypothesis((), np.zeros(0), np.zeros(1)))
     assert all(np.std(x) < CLOSE * floor for x, floor in zip(left, extended.floors, strict=True))
+
+
+def off(text: str, arm: Arm, effects: Sequence[Any], size: float) -> np.ndarray:
+    """(J,) rms by which the inputs that the extended arm predicts for the motion of an exported one
+    differ from those that moved it, over their own.
+    """
+    model = mujoco.MjModel.from_xml_string(text)
+    data, joints = mujoco.MjData(model), list(arm.joints)
+    inertia = np.diag(arm.inertia(np.zeros(len(joints))))
+    gain = np.array([model.actuator(f"{j}.input").gear[0] for j in joints])
+    control, rows = [model.actuator(f"{j}.input").id for j in joints], []
+    for k in range(3000):
+        t = k * TICK
+        goal = size * np.sin((1.9 + 0.8 * np.arange(len(joints))) * t)
+        data.ctrl[control] = inertia * (400.0 * (goal - data.qpos) - 30.0 * data.qvel) / gain
+        rows.append([*(data.sensor(f"{j}.position").data[0] for j in joints), *data.ctrl[control]])
+        for _ in range(round(TICK / model.opt.timestep)):
+            mujoco.mj_step(model, data)
+    q, u = np.split(np.array(rows), 2, axis=1)
+    of = ArmModel([ArmRun("exported", np.arange(0.0, len(q)) * TICK, q, u)], arm, effects)
+    predicted = np.column_stack(of.predicted(Hypothesis((), np.zeros(0), np.zeros(1))))
+    driven = 0.5 * (u + np.roll(u, 1, axis=0))  # held before and after a row
+    apart = (predicted - driven)[3:-3] / np.std(driven, axis=0)
+    # where a joint rests, or comes to rest, dry friction leaves its torque open
+    slowest = np.lib.stride_tricks.sliding_window_view(np.abs(np.gradient(q, axis=0)), 7, 0).min(2)
+    moves = slowest > 0.02 * slowest.max(axis=0)
+    assert np.all(moves.mean(axis=0) > 0.8)
+    return np.sqrt(np.mean(apart**2, axis=0, where=moves))
+
+
+def test_an_export_is_moved_by_the_torques_that_the_extended_arm_predicts(
+    folder: Path, found: AxisDiagnosis
+) -> None:
+    file, extended = folder / "exported.xml", load_axis(folder / "found" / "extended.yaml")
+    assert not export_mjcf(folder / "found", file).unsaid
+    assert extended.arm is not None
+    assert all(off(file.read_text(), extended.arm, extended.spec.effects, 0.9) < 0.01)
+
+
+BRANCHED = """<robot name="arm"><link name="base"/>
+<link name="turret"><inertial><origin xyz="0.02 0.01 0.3"/><mass value="5.0"/>
+ <inertia ixx="0.09" iyy="0.08" izz="0.05" ixy="0.01" ixz="0.005" iyz="0"/></inertial></link>
+<link name="boom"><inertial><origin xyz="0 0 0.2"/><mass value="1.5"/>
+ <inertia ixx="0.02" iyy="0.02" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="flag"><inertial><origin xyz="0.1 0 0"/><mass value="0.4"/>
+ <inertia ixx="0.001" iyy="0.003" izz="0.003" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="tip"><inertial><origin xyz="0.05 0 0"/><mass value="0.2"/>
+ <inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="swivel" type="continuous"><parent link="base"/><child link="turret"/>
+ <origin rpy="0.4 0.2 0"/><axis xyz="0 0.6 0.8"/></joint>
+<joint name="reach" type="prismatic"><parent link="turret"/><child link="boom"/>
+ <origin xyz="0.1 0 0.4" rpy="0 0.7 0.3"/><axis xyz="0 0 1"/>
+ <limit effort="100" velocity="10" lower="-1" upper="1"/></joint>
+<joint name="wave" type="continuous"><parent link="turret"/><child link="flag"/>
+ <origin xyz="0 0.2 0.1" rpy="0.3 0 0"/><axis xyz="1 0 0"/></joint>
+<joint name="spare" type="continuous"><parent link="flag"/><child link="tip"/>
+ <origin xyz="0.2 0 0"/><axis xyz="0 1 0"/></joint>
+</robot>
+"""
+
+
+def test_all_that_mujoco_can_say_of_an_arm_is_exported(tmp_path: Path) -> None:
+    """Joints that turn and slide about skew axes, in a tree, one of them not recorded."""
+    (tmp_path / "arm.urdf").write_text(BRANCHED)
+    joints = {"swivel": {"armature": 0.1}, "reach": {"gain": 20.0}, "wave": {"viscous": 0.02}}
+    arm = read_arm(tmp_path / "arm.urdf", joints)
+    data = {
+        "axis": "arm",
+        "model": "arm.urdf",
+        "joints": joints,
+        "runs": [{"file": "run.csv"}],
+        "effects": [
+            {"kind": "dynamics.force", "joint": "swivel", "coulomb": 0.8, "coulomb_back": 1.4},
+            {"kind": "dynamics.force", "joint": "reach", "coulomb": 2.0, "offset": 3.0},
+            {"kind": "dynamics.gain", "joint": "wave", "factor": 0.5},
+            {"kind": "dynamics.spring", "joint": "wave", "stiffness": 0.7, "rest": 0.3},
+            {"kind": "dynamics.armature", "joint": "wave", "inertia": 0.02},
+            {"kind": "dynamics.mass", "body": "boom", "factor": 1.4},
+            {"kind": "dynamics.centre_of_mass", "body": "turret", "x": 0.1, "z": -0.05},
+        ],
+    }
+    effects = ArmDataset.model_validate(data).effects
+    text, _, unsaid = arm_mjcf(arm, effects)
+    assert not unsaid
+    assert all(off(text, arm, effects, 0.4) < 0.01)
+    loose = [{"kind": "dynamics.load_friction", "joint": "wave", "coefficient": 0.1}]
+    _, _, unsaid = arm_mjcf(arm, ArmDataset.model_validate(data | {"effects": loose}).effects)
+    assert unsaid == ["wave: friction that grows with the transmitted force: left out"]
 
 
 def test_the_regressor_of_a_model_file_gives_the_torques_of_mujocos_inverse_dynamics(

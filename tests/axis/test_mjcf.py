@@ -82,6 +82,9 @@ DRIVES = {
     "gravity on a hinge": (
         [FORCE, {"kind": "dynamics.gravity", "sine": 60.0, "cosine": 0.0}], 42.0, 60.0, True
     ),
+    "spring on a hinge": (
+        [FORCE, {"kind": "dynamics.spring", "stiffness": 60.0, "rest": 0.4}], 42.0, 0.0, True
+    ),
 }  # fmt: skip
 
 
