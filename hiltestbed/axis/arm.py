@@ -29,7 +29,7 @@ from hiltestbed.axis.law import (
     AxisLaw,
 )
 from hiltestbed.axis.models import AxisModel, AxisRun, along, largest
-from hiltestbed.axis.motion import Motion, even, motion_of, window_of
+from hiltestbed.axis.motion import Motion, States, even, motion_of, window_of
 from hiltestbed.effects.search import Candidate
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
@@ -304,6 +304,13 @@ class ArmModel(AxisModel):
 
     def scored(self, of: Hypothesis) -> list[Array]:
         return self.residuals(of)[:-1]
+
+    def states(self) -> list[States]:
+        joints, turns = list(self._arm.joints.items()), self._arm.turns
+        pairs = [
+            (joints[j], x) for of in self._moved for j, x in zip(of.joints, of.inverse, strict=True)
+        ]
+        return [x.states(own["gain"], turns[name], name) for (name, own), x in pairs]
 
     def measured(self) -> list[Array]:
         return [x.averaged(x.input) for x in self._inverse]

@@ -13,7 +13,16 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import savgol_coeffs
 
-from hiltestbed.axis.motion import ORDER, WINDOWS, Motion, averaged, motion_of, noise_of, weights_of
+from hiltestbed.axis.motion import (
+    ORDER,
+    WINDOWS,
+    Motion,
+    States,
+    averaged,
+    motion_of,
+    noise_of,
+    weights_of,
+)
 from hiltestbed.frames import Array
 
 # of the rows over which a motion was smoothed, every which is used: those between tell nothing new
@@ -77,6 +86,12 @@ class InverseRecord(NamedTuple):
         of neighbouring rows, and a fit would take that for an offset.
         """
         return self.averaged(self.input - late * self.slope - shown)
+
+    def states(self, gain: float, turns: bool, place: str = "") -> States:
+        """Where the axis is at each average; ``gain``: force per unit of the input."""
+        m = self.motion
+        each = (self.averaged(part) for part in (m.t, m.x, m.v, m.a, gain * self.input))
+        return States(*each, scale=gain, place=place, turns=turns)
 
     def averaged(self, x: Array) -> Array:
         """(M,) averages of a signal (N,) over blocks of the rows in motion."""

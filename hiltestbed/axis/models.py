@@ -23,7 +23,7 @@ from hiltestbed.axis.law import (
     force_along,
     motion_under,
 )
-from hiltestbed.axis.motion import Motion, even, motion_of, noise_of
+from hiltestbed.axis.motion import Motion, States, even, motion_of, noise_of
 from hiltestbed.effects.departure import Departure
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
@@ -109,6 +109,10 @@ class AxisModel(Model):
     @abstractmethod
     def predicted(self, of: Hypothesis) -> list[Array]:
         """(N,) output of each record at its own times, in the unit of the record."""
+
+    @abstractmethod
+    def states(self) -> list[States]:
+        """Where the axis is at each value of the :meth:`residuals` of each record."""
 
     def measured(self) -> list[Array]:
         """(N,) what :meth:`predicted` is compared with."""
@@ -263,6 +267,13 @@ class DamperModel(AxisModel):
         )
         return self._parts(scale)
 
+    def states(self) -> list[States]:
+        rows = zip(self._motions, self._even, self._kept, strict=True)
+        return [
+            States(*(part[kept] for part in (m.t, m.x, m.v, m.a, y)), turns=self.rotates)
+            for m, (_, _, y), kept in rows
+        ]
+
     def law(self, effects: Sequence[Departure]) -> AxisLaw:
         """The law with ``effects``."""
         return damper_law(self.nominal, (*self.believed, *effects))
@@ -334,6 +345,9 @@ class DriveModel(AxisModel):
     def scored(self, of: Hypothesis) -> list[Array]:
         return self.residuals(of)[:-1]
 
+    def states(self) -> list[States]:
+        return [r.states(self.nominal.get("gain", 1.0), self.rotates) for r in self._inverse]
+
     def departure(self, of: Hypothesis) -> list[Array]:
         return self._compared(of)
 
@@ -382,6 +396,15 @@ class ServoModel(AxisModel):
             duration=max(float(r.t[-1] - r.t[0]) for r in self.records),
         )
         return self._parts(scale)
+
+    def states(self) -> list[States]:
+        out = []
+        for r in self.records:
+            t, y = even(r.t, r.y)
+            m = motion_of(t, y)
+            x, v, a = (np.interp(r.t, m.t, part) for part in (m.x, m.v, m.a))
+            out.append(States(r.t, x, v, a, turns=self.rotates))
+        return out
 
     def numbers(self, effects: Sequence[Departure]) -> Array:
         """The numbers of the response with ``effects``."""

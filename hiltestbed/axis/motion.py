@@ -54,6 +54,24 @@ class Motion(NamedTuple):
         return Motion(t, x, v, a, way, self.window, self.resolved, self.shaken)
 
 
+class States(NamedTuple):
+    """Where an axis is at each value of a residual: (N,) each.
+
+    Attributes:
+        force: that drives it or is measured; None of a servo. scale: of the residual, to its SI
+            unit. place: the joint of an arm. turns: whether positions are angles.
+    """
+
+    t: Array
+    x: Array
+    v: Array
+    a: Array
+    force: Array | None = None
+    scale: float = 1.0
+    place: str = ""
+    turns: bool = False
+
+
 def even(t: Array, *signals: Array) -> tuple[Array, ...]:
     """The times and signals at even intervals: as they are where the clock is even."""
     steps = np.diff(t)

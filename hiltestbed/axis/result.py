@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,11 @@ import numpy as np
 from hiltestbed.axis.dataset import LoadedAxis
 from hiltestbed.axis.models import AxisModel
 from hiltestbed.axis.motion import noise_of
+from hiltestbed.axis.remainder import Remainder, remainder_of
 from hiltestbed.diagnosis.plain import finite
 from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import SearchConclusion
+from hiltestbed.inference.model import FEWEST
 from hiltestbed.run_folder.versions import versions
 
 # times the noise: a residual that a test engineer calls noise
@@ -129,23 +132,34 @@ class AxisFinding:
         start = f"{where[0].upper()}{where[1:]} departs from its nominal model"
         if self.verdict == "unknown":
             return f"{start}, and no effect of the vocabulary explains it. {self._left()}"
-        causes = " and ".join(c.words() for c in self.causes)
+        causes = "; ".join(c.words() for c in self.causes)
         if self.verdict == "named_in_part":
-            return f"{start}. This is {causes}. Something else is left: {self._left()}"
-        text = f"{start}: {causes}."
+            return f"{start}. In part this is {causes}. {self._carried()} {self._left()}"
+        text = f"{start}: {causes}. {self._carried()}"
         if self.verdict == "ambiguous":
             return f"{text} These data cannot decide which of them it is."
         return text
 
-    def _left(self) -> str:
+    @cached_property
+    def remainder(self) -> Remainder | None:
+        """What the offered hypothesis leaves; None where none was sought."""
         c = self.conclusion
+        return None if c is None else remainder_of(self.model, c.fit, self.floors)
+
+    def _left(self) -> str:
+        return "" if self.remainder is None else f"What is left is {self.remainder.words()}."
+
+    def _carried(self) -> str:
+        """How much of the departure the causes carry where they were not fitted."""
+        c, whole = self.conclusion, len(self.model.recorded) >= FEWEST
         if c is None:
             return ""
-        each, rms = self.model.of_recorded(), c.fit.rms()
-        pairs = [(together(rms[of]), together(self.floors[of])) for of in each]
-        size = ", ".join(f"{v:.3g} ({v / level:.2g} times the noise)" for v, level in pairs)
-        unit = "" if not self.extends else f" {self.loaded.units()[self._compared()]}"
-        return f"it leaves {size}{unit} rms in the runs."
+        before, after = together(c.before), together(c.after)
+        return (
+            f"On {'runs' if whole else 'stretches'} that were not fitted the departure falls from "
+            f"{before:.3g} to {after:.3g} {self.loaded.units()[1]} rms, by "
+            f"{100.0 * (1.0 - after / before):.4g} %."
+        )
 
     def _compared(self) -> int:
         """Whether the likelihood compares inputs (0) or outputs (1)."""
@@ -172,6 +186,7 @@ class AxisFinding:
             "next_experiment": None,
             "extended_scenario": "extended.yaml" if self.extends else None,
             "ranking": [],
+            "left": None if self.remainder is None else self.remainder.to_json(),
             "remarks": list(self.remarks),
             "seconds": self.seconds,
             "versions": versions(),

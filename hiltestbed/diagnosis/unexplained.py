@@ -14,10 +14,9 @@ from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
 from hiltestbed.inference.model import Hypothesis
+from hiltestbed.inference.residuals import range_of_half
 from hiltestbed.inference.search import extended
 
-BINS = 100  # of the travel; a range is then known to 1 % of it
-HALF = 0.5  # of the sum of squares of a residual
 SHAPE_ROWS = 9  # chosen: of the running mean before the correlation
 MIN_CORRELATION = 0.6  # chosen: from which a quantity is named
 
@@ -166,15 +165,3 @@ def _alone(found: Explanation, known: PosteriorFit, n: int) -> PosteriorFit | No
     likelihood = Likelihood(model, independent(model.residuals(known.of), noise_known=True))
     fit = likelihood.fit(known.causes, [known.of.theta])
     return fit if model.leaves_noise(fit.left) else None
-
-
-def range_of_half(position: Array, residual: Array) -> tuple[float, float]:
-    """The shortest range of ``position`` (N,) that holds half of the sum of squares of a
-    ``residual`` (N,).
-    """
-    squares, edges = np.histogram(position, bins=BINS, weights=residual**2)
-    total = np.concatenate([[0.0], np.cumsum(squares)])
-    ends = np.searchsorted(total, total[:-1] + HALF * total[-1])
-    widths = np.where(ends <= BINS, ends - np.arange(BINS), BINS + 1)
-    first = int(np.argmin(widths))
-    return float(edges[first]), float(edges[min(int(ends[first]), BINS)])

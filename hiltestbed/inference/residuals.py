@@ -9,6 +9,9 @@ import numpy as np
 
 from hiltestbed.frames import Array
 
+BINS = 100  # of a range; a part of it is then known to 1 %
+HALF = 0.5  # of the sum of squares of a residual
+
 
 class RunResiduals(Sequence[Array]):
     """What a hypothesis leaves of each run and, last, of the priors of its nuisances.
@@ -112,3 +115,15 @@ def _products(left: RunResiduals, a: Array, b: Array) -> Array:
     """(P, Q, R) of the rows of a (P, M) and b (Q, M), run by run."""
     each = [left.sums(row * b) for row in a]
     return np.array(each).reshape(len(a), len(b), len(left.starts))
+
+
+def range_of_half(position: Array, residual: Array) -> tuple[float, float]:
+    """The shortest range of ``position`` (N,) that holds half of the sum of squares of a
+    ``residual`` (N,).
+    """
+    squares, edges = np.histogram(position, bins=BINS, weights=residual**2)
+    total = np.concatenate([[0.0], np.cumsum(squares)])
+    ends = np.searchsorted(total, total[:-1] + HALF * total[-1])
+    widths = np.where(ends <= BINS, ends - np.arange(BINS), BINS + 1)
+    first = int(np.argmin(widths))
+    return float(edges[first]), float(edges[min(int(ends[first]), BINS)])

@@ -16,13 +16,11 @@ UNITS = {
     "drive": ({"N", "N m", "A", "V"}, {"m", "rad"}),
     "servo": ({"m", "rad"}, {"m", "rad"}),
     "damper": ({"m", "rad"}, {"N", "N m"}),
-    "sensor": ({"m", "rad", "N", "N m"}, {"m", "rad", "N", "N m"}),
 }
 NOMINAL = {
     "drive": {"mass", "gain"},
     "servo": set(),
     "damper": {"stiffness", "damping"},
-    "sensor": set(),
 }
 
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from hiltestbed.diagnosis.explain import Explanation
-from hiltestbed.diagnosis.unexplained import contradiction, describe, range_of_half
+from hiltestbed.diagnosis.unexplained import contradiction, describe
 from hiltestbed.effects import Effect
 from hiltestbed.frames import Array
+from hiltestbed.inference.residuals import range_of_half
 
 from .made import contact_link, effect, explained, reread
 from .test_verdict import SPEEDS

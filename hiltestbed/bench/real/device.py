@@ -13,7 +13,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.axis.dataset import AxisDataset, LoadedAxis
 from hiltestbed.axis.models import AxisRun as AxisRecord
+from hiltestbed.config.yaml_source import Source
 
 Array = NDArray[np.float64]
 Predictor = Callable[[AxisRecord], Array]
@@ -28,8 +30,7 @@ class Device:
     `left_out` are names of records and never change: what `expert` learns comes from the
     records of `fit` alone. `nominal` is what the owner believed before any record (`mass` and
     `gain` of a drive, `stiffness` and `damping` of a damper, empty for a servo that follows its
-    command and a sensor that reads true), `published` the parameters that the source states, in
-    SI units.
+    command), `published` the parameters that the source states, in SI units.
     """
 
     name: str
@@ -37,7 +38,7 @@ class Device:
     source: str
     licence: str
     files: Mapping[str, str]
-    kind: Literal["drive", "servo", "damper", "sensor"]
+    kind: Literal["drive", "servo", "damper"]
     units: tuple[str, str]
     fit: tuple[str, ...]
     left_out: tuple[str, ...]
@@ -45,6 +46,20 @@ class Device:
     expert: Callable[[Sequence[AxisRecord]], Predictor]
     nominal: Mapping[str, float] = field(default_factory=dict)
     published: Mapping[str, float] = field(default_factory=dict)
+
+    def loaded(self, records: Sequence[AxisRecord]) -> LoadedAxis:
+        """Some of its records as the file of an axis would give them."""
+        spec = {
+            "axis": self.kind,
+            "name": self.name,
+            "rotates": self.units[1] in ("rad", "N m"),
+            "nominal": dict(self.nominal),
+            "runs": [{"file": r.name} for r in records],
+        }
+        source = Source(self.name, spec)
+        return LoadedAxis(
+            AxisDataset.model_validate(spec), Path(self.name), source, tuple(records), ()
+        )
 
     def absent(self, data: Path) -> list[str]:
         """Files that are not below `data`, or whose content is not the one that was described."""

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hiltestbed.axis.diagnose import diagnosed
-from hiltestbed.axis.models import model_of
+from hiltestbed.axis.diagnose import diagnose_axis
 from hiltestbed.bench.real import DEVICES
 from hiltestbed.bench.real.device import Array, AxisRecord, Device
 from hiltestbed.bench.result import BenchResult
@@ -118,11 +117,9 @@ def measured(device: Device, data: Path) -> tuple[dict[str, Any], Figure]:
     fit, out = [runs[n] for n in device.fit], [runs[n] for n in device.left_out]
     expert = device.expert(fit)
     start = time.process_time()
-    assert device.kind != "sensor"
-    model = model_of(device.kind, fit, device.nominal, device.units[1] in ("rad", "N m"))
-    found = diagnosed(model)
+    found = diagnose_axis(device.loaded(fit))
     cpu = time.process_time() - start
-    conclusion = found.conclusion
+    model, conclusion = found.model, found.conclusion
     if conclusion is None:
         raise InputError(f"bench real: {device.name}: {' '.join(found.remarks)}")
     with np.errstate(all="ignore"):
@@ -138,13 +135,20 @@ def measured(device: Device, data: Path) -> tuple[dict[str, Any], Figure]:
     }
     record: dict[str, Any] = {
         "device": device.name,
+        "title": device.title,
+        "source": device.source,
+        "licence": device.licence,
         "kind": device.kind,
+        "files": list(device.files),
+        "fitted": list(device.fit),
         "unit": device.units[1],
         "verdict": found.verdict,
         "causes": [c.effect for c in found.causes],
         "parameters": [c.to_json() for c in found.causes],
-        "sentence": " and ".join(c.words() for c in found.causes) or "No cause is named.",
+        "sentence": found.sentence(),
+        "nominal_numbers": dict(device.nominal),
         "published": dict(device.published),
+        "left": None if found.remainder is None else found.remainder.to_json(),
         "left_out": {k: dict(zip(device.left_out, v, strict=True)) for k, v in left.items()},
         "cpu": cpu,
     }
