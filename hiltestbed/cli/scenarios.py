@@ -316,7 +316,7 @@ def new(
         ),
     ] = None,
     kind: Annotated[
-        Literal["dataset", "drive", "servo", "damper"] | None,
+        Literal["dataset", "drive", "servo", "damper", "arm"] | None,
         typer.Option("--as", help="What the log is of, instead of the guess; dataset: a rig."),
     ] = None,
     as_json: Json = False,

@@ -1,7 +1,7 @@
 """A dataset from a log: the columns that it may hold, as commented YAML with guesses to correct.
 
-A docking dataset, with a scenario beside it, where the log holds a pose and a wrench; an axis
-(drive, servo or damper) otherwise.
+A docking dataset, with a scenario beside it, where the log holds a pose and a wrench; an arm where
+it holds several joints; an axis (drive, servo or damper) otherwise.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.measured.columns import STAMP, Columns
 from hiltestbed.measured.formats import data_file, no_file, read_columns
+from hiltestbed.measured.joints import joints_of
 from hiltestbed.measured.roles import (
     BARE,
     COMPENSATED,
@@ -43,12 +44,13 @@ PARTS = ("pose_cmd.pz", "pose_act.pz", "wrench_meas.fz", "wrench_comp.fz")  # of
 KINDS = (
     "drive: force or current to position; servo: command to position; damper: displacement to force"
 )
-DATASET = "dataset"
+DATASET, ARM = "dataset", "arm"
 BELIEVED = {  # of an axis
     "drive": "fill in: {mass: ...} [kg; of an axis that rotates: kg m^2]; gain, viscous, coulomb, "
     "offset",
     "servo": "delay [s], bandwidth [Hz], damping_ratio; left out: it follows its command",
     "damper": "stiffness [N/m], damping [N s/m], preload [N]",
+    "arm": "beside the model: gain [N m/A], viscous, coulomb, offset, armature",
     "": "what you believe of it",
 }
 
@@ -289,7 +291,10 @@ def _axes(log: Log) -> dict[str, tuple[Role | None, Role | None]]:
     """The kinds of axis that a log may be, the likeliest first, each with its input and output."""
     command, place = _ends(log)
     push = _ends(log, PUSHES)[0]
+    joints = joints_of(log.roles)
     out: dict[str, tuple[Role | None, Role | None]] = {}
+    if joints:
+        out[ARM] = joints[0].effort, joints[0].position
     if place is not None and command is not None:
         out["servo"] = command, place
     if place is not None and push is not None:
@@ -303,6 +308,8 @@ def _axes(log: Log) -> dict[str, tuple[Role | None, Role | None]]:
 
 def _axis(log: Log, kind: str, ends: tuple[Role | None, Role | None]) -> tuple[bool, list[Entry]]:
     """Whether an axis turns, and its channels."""
+    if kind == ARM:
+        return False, _arm(log)
     rotates = any(r is not None and (r.angular or r.quantity == "torque") for r in ends)
     ends_of = {r.column for r in ends if r is not None}
     rest = [n for n, r in log.roles.items() if n not in ends_of and r.quantity != "time"]
@@ -313,6 +320,16 @@ def _axis(log: Log, kind: str, ends: tuple[Role | None, Role | None]) -> tuple[b
     if kind == "servo":
         channels = _together(channels, ("input", "output"), log)
     return rotates, [*_time(log), *channels]
+
+
+def _arm(log: Log) -> list[Entry]:
+    """The times, and position and input of each joint."""
+    entries, joints = _time(log), joints_of(log.roles)
+    for joint in joints:
+        slides = joint.position.unit in UNITS["m"]
+        for part, role in (("position", joint.position), ("input", joint.effort)):
+            entries.append(_channel(f"{joint.name}.{part}", role, not slides, log, ()))
+    return _together(entries, [f"{joint.name}.position" for joint in joints], log)
 
 
 def _likeness(role: Role, other: Role | None) -> float:
@@ -475,12 +492,22 @@ def _axis_text(
     path: Path, runs: Sequence[str], log: Log, kind: str, rotates: bool, entries: Sequence[Entry]
 ) -> str:
     said = "guess" if kind else "could not be guessed; state one of them"
-    lines = [
-        *_head(path, log),
+    about = [
         f"# {KINDS}",
         f"axis: {kind}   # {said}",
         f"rotates: {str(rotates).lower()}   # guess; true: positions in rad, forces in N m",
         f"nominal: {{}}   # {BELIEVED[kind]}",
+    ]
+    if kind == ARM:
+        joints = ", ".join(f"{_quoted(joint.name)}: {{}}" for joint in joints_of(log.roles))
+        about = [
+            "axis: arm   # motion of the joints to their torques",
+            "model: arm.urdf   # state the URDF or MJCF of the arm; the joints by its names:",
+            f"joints: {{{joints}}}   # {BELIEVED[kind]}",
+        ]
+    lines = [
+        *_head(path, log),
+        *about,
         "runs:",
         *runs,
         "  # - {file: ...}   # further runs; three of different motions are better",

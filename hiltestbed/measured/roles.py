@@ -53,7 +53,7 @@ NO_MECHANICAL = {"A": "current", "mA": "current", "V": "other", "mV": "other"}
 QUANTITY_OF = {"s": "time", "m": "position", "rad": "position", "N": "force", "N m": "torque"}
 ANGLES = {"roll": "rx", "pitch": "ry", "yaw": "rz", "rx": "rx", "ry": "ry", "rz": "rz"}
 _ARROW = {"force": "f", "torque": "t", "position": "p"}
-_TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|°|µ")
+TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|°|µ")
 
 
 class Role(NamedTuple):
@@ -76,13 +76,13 @@ class Role(NamedTuple):
 def role_of(column: str, stated: str = "") -> Role:
     """The role of a ``column`` whose unit the file has ``stated``."""
     bare, unit = split_unit(column)
-    tokens = [found.lower() for found in _TOKEN.findall(bare)]
+    tokens = [found.lower() for found in TOKEN.findall(bare)]
     unit = stated.strip("[]() ") or unit
     unit = unit if unit in NO_MECHANICAL else unit_named(unit) or unit if unit else ""
     after = re.search(r"[_ ]([A-Za-z]+)$", bare)
     if not unit and after and after[1].lower() in SUFFIXES:
         unit = SUFFIXES[after[1].lower()]
-        tokens = [found.lower() for found in _TOKEN.findall(bare[: after.start()])]
+        tokens = [found.lower() for found in TOKEN.findall(bare[: after.start()])]
     words = set(tokens)
     by_length = sorted(reversed(tokens), key=lambda token: len(token) == 1)
     named = (q for token in by_length for q, known in _KNOWN.items() if token in known)

@@ -12,10 +12,12 @@ import pytest
 
 from hiltestbed.axis.dataset import load_axis
 from hiltestbed.config.check import look_at
+from hiltestbed.config.from_log import write_from_log
 from hiltestbed.errors import InputError, MissingExtra
 from hiltestbed.measured import examine
 from hiltestbed.measured.formats import data_file, format_of, read_columns
 from tests.axis import machines
+from tests.axis.test_arm import URDF
 
 from . import bounce
 
@@ -172,6 +174,27 @@ def test_stamps_of_another_clock_are_not_compared_with_times_of_the_log(
     late = found.clock["ft.wrench.force.z"][0] - found.clock["goal.data"][0]
     assert late == pytest.approx(2e-3 if used == "log" else 0.0, abs=1e-9)
     assert ("of another clock" in "".join(found.notes)) == (ns == 1_000_000)
+
+
+def test_a_bag_of_joint_states_becomes_an_arm_by_the_names_of_its_joints(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rows, both = np.arange(400), ["shoulder", "elbow"]
+    angles = np.sin(0.02 * rows), np.cos(0.03 * rows)
+    messages = [
+        (at + LATE, _joints(at, both, [a, b], [2.0 * a, 3.0 * b]))
+        for k, (a, b) in enumerate(zip(*angles, strict=True))
+        if (at := START + 2_000_000 * k)
+    ]
+    write_bag(tmp_path / "bag", {"/arm/joint_states": messages})
+    found = write_from_log("mine", [Path("bag")])
+    assert (found.kind, found.open) == ("axis: arm", ())
+    (tmp_path / "arm.urdf").write_text(URDF)
+    loaded = load_axis("mine.yaml")
+    np.testing.assert_allclose(loaded.records[0].t, 2e-3 * rows, atol=1e-9)
+    np.testing.assert_allclose(loaded.records[0].q, np.column_stack(angles), atol=1e-12)
+    np.testing.assert_allclose(loaded.records[0].u, loaded.records[0].q * [2.0, 3.0], atol=1e-12)
 
 
 def test_a_rig_is_read_from_a_bag(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from hiltestbed.config.from_log import write_from_log
 from hiltestbed.errors import InputError
 from hiltestbed.measured.roles import role_of, time_unit
 from tests.axis import machines
+from tests.axis.test_arm import URDF
 from tests.measured import bounce
 
 SERVO, DAMPER, DRIVE = machines.servo(0), machines.damper(0), machines.carriage(0)
@@ -102,6 +103,50 @@ def test_a_log_without_a_clock_needs_its_rate_and_no_more() -> None:
     assert "sample rate" in fault.message
     Path("arm.yaml").write_text(Path("arm.yaml").read_text().replace("# rate: 1000.0", "rate: 100"))
     assert not look_at("arm.yaml").faults
+
+
+ANGLES = {"shoulder": np.sin(3.0 * SERVO.t), "elbow": 0.5 * np.cos(2.0 * SERVO.t)}
+
+
+def test_a_log_of_two_joints_is_an_arm_that_lacks_only_its_model() -> None:
+    """Degrees and currents; a command beside them is no joint."""
+    columns = {"t": SERVO.t}
+    for k, (joint, q) in enumerate(ANGLES.items()):
+        columns |= {f"{joint}_target_deg": np.degrees(q), f"{joint}_angle_deg": np.degrees(q)}
+        columns |= {f"motor_current_{joint}_A": (k + 1.0) * q}
+    found = write_from_log("two", log(**columns))
+    assert (found.kind, found.open) == ("axis: arm", ())
+    assert found.guesses["elbow.input"] == "motor_current_elbow_A"
+    assert len(Path("two.yaml").read_text().splitlines()) <= 15 + 1  # and what is not used
+    (fault,) = look_at("two.yaml").faults
+    assert (fault.key, "takes the URDF or MJCF" in fault.message) == ("model", True)
+    Path("arm.urdf").write_text(URDF)
+    loaded = load_axis("two.yaml")
+    assert loaded.arm is not None
+    for k, (joint, q) in enumerate(ANGLES.items()):
+        place = list(loaded.arm.joints).index(joint)
+        np.testing.assert_allclose(loaded.records[0].q[:, place], q, atol=1e-9)
+        np.testing.assert_allclose(loaded.records[0].u[:, place], (k + 1.0) * q, atol=1e-9)
+
+
+def test_joints_by_number_are_named_so_and_the_check_lists_those_of_the_model() -> None:
+    q = ANGLES["elbow"]
+    found = write_from_log("two", log(t=SERVO.t, q1=q, q2=2.0 * q, tau1=q, tau2=q, F_tcp_x=q))
+    joints = ["joint_1.position", "joint_1.input", "joint_2.position", "joint_2.input"]
+    assert list(found.guesses) == ["t", *joints]
+    Path("arm.urdf").write_text(URDF)
+    assert "its joints of one axis are shoulder, elbow" in look_at("two.yaml").faults[0].message
+
+
+def test_one_joint_is_a_single_axis() -> None:
+    found = write_from_log("one", log(t=SERVO.t, q1=ANGLES["elbow"], tau1=ANGLES["elbow"]))
+    assert found.kind == "axis: drive"
+
+
+def test_position_and_force_along_two_axes_are_no_joints() -> None:
+    q = ANGLES["elbow"]
+    found = write_from_log("bench", log(t=SERVO.t, pos_x=q, pos_y=q, force_x=q, force_y=q))
+    assert found.kind != "axis: arm"
 
 
 def test_what_cannot_be_guessed_stands_as_a_comment_with_the_choices() -> None:
