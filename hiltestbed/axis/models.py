@@ -24,6 +24,7 @@ from hiltestbed.axis.law import (
     motion_under,
 )
 from hiltestbed.axis.motion import Motion, States, even, motion_of, noise_of
+from hiltestbed.axis.related import related
 from hiltestbed.effects.departure import Departure
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
@@ -161,7 +162,16 @@ class AxisModel(Model):
             slope, zero = np.polyfit(r.u, r.y, 1)
             if float(np.abs(r.y - slope * r.u - zero).max()) < COPIED * float(np.ptp(r.y)):
                 return f"The output of {r.name} is {slope:.6g} times its input: it is a copy of it."
+        if not any(related(r.t, *self.moved(r)) for r in self.records):
+            return (
+                "In no run do input and output have to do with each other: the same motion at "
+                "another pace would match as well."
+            )
         return None
+
+    def moved(self, r: AxisRun) -> tuple[Array, Array]:
+        """Position and force of a record, or command and position."""
+        return r.u, r.y
 
     def repeatability(self) -> Array:
         """(R,) rms by which the output of a run differs from that of a repeat of it, over the root
@@ -344,6 +354,9 @@ class DriveModel(AxisModel):
 
     def scored(self, of: Hypothesis) -> list[Array]:
         return self.residuals(of)[:-1]
+
+    def moved(self, r: AxisRun) -> tuple[Array, Array]:
+        return r.y, r.u
 
     def states(self) -> list[States]:
         return [r.states(self.nominal.get("gain", 1.0), self.rotates) for r in self._inverse]

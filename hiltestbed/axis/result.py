@@ -15,6 +15,7 @@ from hiltestbed.axis.dataset import LoadedAxis
 from hiltestbed.axis.models import AxisModel
 from hiltestbed.axis.motion import noise_of
 from hiltestbed.axis.remainder import Remainder, remainder_of
+from hiltestbed.axis.scaling import scaling_remark
 from hiltestbed.diagnosis.plain import finite
 from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import SearchConclusion
@@ -123,10 +124,13 @@ class AxisFinding:
         return f"AxisDiagnosis({self.name}: {self.verdict}, {causes})"
 
     def sentence(self) -> str:
-        """The verdict in one or two self-contained sentences."""
+        """The verdict in a few self-contained sentences."""
+        return " ".join(part for part in (self.doubt, self._said()) if part)
+
+    def _said(self) -> str:
         where = WORDS[self.loaded.spec.axis]
         if self.verdict == "inconclusive":
-            return f"These records do not tell how the axis behaves. {' '.join(self.remarks)}"
+            return f"These records do not tell how the axis behaves: {'; '.join(self.remarks)}"
         if self.verdict == "no_discrepancy":
             return f"The nominal model explains {where}: what it leaves is noise in every run."
         start = f"{where[0].upper()}{where[1:]} departs from its nominal model"
@@ -139,6 +143,11 @@ class AxisFinding:
         if self.verdict == "ambiguous":
             return f"{text} These data cannot decide which of them it is."
         return text
+
+    @cached_property
+    def doubt(self) -> str:
+        """Why the units may be wrong; empty where they seem right, or nothing was judged."""
+        return "" if self.conclusion is None else scaling_remark(self.model)
 
     @cached_property
     def remainder(self) -> Remainder | None:
@@ -187,7 +196,7 @@ class AxisFinding:
             "extended_scenario": "extended.yaml" if self.extends else None,
             "ranking": [],
             "left": None if self.remainder is None else self.remainder.to_json(),
-            "remarks": list(self.remarks),
+            "remarks": [*self.remarks, *([self.doubt] if self.doubt else [])],
             "seconds": self.seconds,
             "versions": versions(),
         }

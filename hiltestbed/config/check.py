@@ -116,8 +116,14 @@ def _dataset(source: Source, data: bool) -> FileReport:
 
 def _axis(source: Source, data: bool) -> FileReport:
     from hiltestbed.axis.dataset import load_axis
+    from hiltestbed.axis.scaling import scaling_remark
 
-    return FileReport(file_kind(source), (), load_axis(source, data).remarks)
+    loaded = load_axis(source, data)
+    if not data:
+        return FileReport(file_kind(source), ())
+    model = loaded.model()
+    more = model.tells_nothing() or scaling_remark(model)
+    return FileReport(file_kind(source), (), (*loaded.remarks, *([more] if more else [])))
 
 
 _CHECKS = {

@@ -13,6 +13,7 @@ import yaml
 from hiltestbed.axis.dataset import load_axis
 from hiltestbed.axis.diagnose import diagnose_axis
 from hiltestbed.axis.records import Signal, at_times
+from hiltestbed.axis.scaling import scaling_of
 from hiltestbed.config.check import check_file, look_at
 from hiltestbed.errors import InputError
 from tests.axis import machines
@@ -62,6 +63,26 @@ def test_rows_without_contact_are_said(folder):
     data = spec(runs=[{"file": "drop.csv"}, {"file": "run_0.csv"}])
     (remark,) = load_axis(written(folder, data)).remarks
     assert remark.startswith("drop.csv: the displacement changes over 21 rows without a force")
+
+
+@pytest.mark.parametrize(
+    ("column", "unit", "factor"), [("x [mm]", "m", 1e-3), ("F", "kN", 1e3), ("F", "N", None)]
+)
+def test_a_unit_that_contradicts_what_is_believed_is_said(folder, column, unit, factor):
+    """A damper's displacement in mm taken for m, or its force in N for kN, and a factor of two."""
+    given = {"input": {"column": "x [mm]"}, "output": {"column": "F", "unit": "N"}}
+    given["input" if column.startswith("x") else "output"]["unit"] = unit
+    path = written(folder, spec(nominal={"damping": 400.0}, channels=given))
+    loaded = load_axis(path)
+    found = scaling_of(loaded.model())
+    if factor is None:
+        assert not found
+        assert not look_at(path).remarks
+        return
+    assert [name for name, _ in found] == ["run_0.csv", "run_1.csv"]
+    # 120 N of dry friction are as 4 F/(pi v) = 1900 N s/m at 0.08 m/s, beside 800 N s/m
+    assert all(2.0 < scale / factor < 12.0 for _, scale in found)
+    assert "check the units of the channels" in " ".join(look_at(path).remarks)
 
 
 def test_what_was_found_is_read_back_and_leaves_nothing_to_find(folder):

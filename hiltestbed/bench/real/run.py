@@ -175,7 +175,7 @@ def picture(r: AxisRecord, nominal: Array, expert: Array, product: Array, unit: 
     for name, p, color in (
         ("nominal", nominal, NOMINAL),
         ("expert", expert, EXPERT),
-        ("product", product, PRODUCT),
+        ("diagnosis", product, PRODUCT),
     ):
         top.plot(r.t[rows], p[rows], color=color, lw=0.9, label=name)
         below.plot(r.t[rows], (r.y - p)[rows], color=color, lw=0.7)
@@ -184,7 +184,8 @@ def picture(r: AxisRecord, nominal: Array, expert: Array, product: Array, unit: 
     most = 4.0 * max(rms(r.y - product), rms(r.y - expert))
     below.set_ylim(-most, most)
     top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, fontsize=8)
-    top.set_ylabel(f"{r.name} [{unit}]")
+    top.set_title(r.name, loc="left", fontsize=8)
+    top.set_ylabel(f"[{unit}]")
     below.set_ylabel(f"left [{unit}]")
     below.set_xlabel("time [s]")
     return figure
