@@ -96,10 +96,10 @@ def machine(r: Record) -> Iterable[str]:
     """What stands on a page of one machine."""
     yield from (f"## `{r['device']}`: {r['title']}", "", f"![{r['title']}]({r['device']}.png)", "")
     yield from (f"**`{r['verdict']}`.** {r['sentence']}", "")
-    names = ("constant", "nominal", "expert", "product")
+    names = [n for n in ("constant", "nominal", "expert", "peer", "product") if n in r]
     unit = r["unit"]
     yield f"| left out | {' | '.join(f'{n} [{unit}]' for n in names[:-1])} | diagnosis [{unit}] |"
-    yield "|---|---|---|---|---|"
+    yield "|---" * (1 + len(names)) + "|"
     for run in r["left_out"]["constant"]:
         yield row(run, [r["left_out"][n][run] for n in names])
     if len(r["left_out"]["constant"]) > 1:

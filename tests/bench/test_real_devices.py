@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from hiltestbed.bench.real import DEVICES, experts
 from hiltestbed.bench.real.device import AxisRecord, Device, split
+from hiltestbed.bench.real.peer import sysid_of
 
 UNITS = {
     "drive": ({"N", "N m", "A", "V"}, {"m", "rad"}),
@@ -119,3 +120,17 @@ def test_bouc_wen_at_constant_speed_is_its_dashpots_and_its_force() -> None:
     force = experts.bouc_wen(p, AxisRecord("ramp", t, x, 0 * t))
     behind = (dashpot * 0.1 - alpha) / (damping + dashpot)
     assert force[-1] == pytest.approx(alpha + damping * behind + stiffness * 0.1 + offset, rel=1e-3)
+
+
+def test_the_peer_finds_the_carriage_or_is_absent() -> None:
+    """Of a machine that is no drive, and without the extras of `mujoco[sysid]`, there is none."""
+    sysid = pytest.importorskip("mujoco.sysid")
+    drive = next(d for d in DEVICES if d.name == "emps")
+    record = _moved(80.0, 30.0, 8.0, 8.0)
+    found = sysid_of(drive, [record])
+    if not hasattr(sysid, "optimize"):
+        assert found is None
+        return
+    assert found is not None
+    assert np.std(found(record) - record.y) < 0.02 * np.std(record.y)
+    assert sysid_of(next(d for d in DEVICES if d.kind == "damper"), [record]) is None
