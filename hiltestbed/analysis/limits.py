@@ -13,7 +13,7 @@ from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.numerical_model.bodies import approach_state, effective_mass
 from hiltestbed.scenario import Scenario
-from hiltestbed.scenario.limits import LEAST, UNIT, Limits
+from hiltestbed.scenario.limits import LEAST, UNIT, DockingLimits
 
 # share of a limit from which it counts as exceeded: noise of the force changes a nominal approach
 BEYOND = 1.001
@@ -37,7 +37,7 @@ def conditions(state: Array) -> dict[str, float]:
     }
 
 
-def compared(limits: Limits | None, found: Found) -> list[dict[str, Any]]:
+def compared(limits: DockingLimits | None, found: Found) -> list[dict[str, Any]]:
     """Each limit with the value found (None: it did not come to that) and its ``share`` of the
     limit, above 1 beyond it; of a lowest value, 2 less the share. In SI units.
     """
@@ -53,7 +53,7 @@ def compared(limits: Limits | None, found: Found) -> list[dict[str, Any]]:
     return rows
 
 
-def verdict(limits: Limits | None, found: Found) -> dict[str, Any]:
+def verdict(limits: DockingLimits | None, found: Found) -> dict[str, Any]:
     """Entries of a summary: ``limits``, see :func:`compared`; the largest share, and whose."""
     rows = compared(limits, found)
     worst = max((r for r in rows if r["share"] is not None), key=lambda r: r["share"], default=None)

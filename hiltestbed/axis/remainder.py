@@ -31,7 +31,7 @@ RATES = {"position": "", "speed": "/s", "acceleration": "/s^2"}  # of the unit o
 
 
 @dataclass(frozen=True)
-class Followed:
+class Correlate:
     """A quantity that a residual follows: the share of its squares that the means over parts of the
     quantity hold, the range of the part whose mean is largest, and that mean.
     """
@@ -70,7 +70,7 @@ class Remainder:
     noise: tuple[float, ...]
     run: str
     signal: float
-    follows: Followed | None
+    follows: Correlate | None
     dense: Dense | None
     band: tuple[float, float]
 
@@ -153,7 +153,7 @@ def _joined(states: Sequence[States], part: str) -> Array:
     return np.concatenate([getattr(s, part) for s in states])
 
 
-def _followed(left: Sequence[Array], values: Mapping[str, Array]) -> Followed | None:
+def _followed(left: Sequence[Array], values: Mapping[str, Array]) -> Correlate | None:
     """The quantity whose parts have means that hold most of the squares, beyond what as many means
     of the independent samples of noise would.
     """
@@ -172,7 +172,7 @@ def _followed(left: Sequence[Array], values: Mapping[str, Array]) -> Followed | 
         share = 1.0 - (1.0 - held) * max(count - 1.0, 1.0) / free
         if share > (found.share if found else FOLLOWS):
             most = int(np.argmax(np.abs(means) * np.sqrt(rows)))
-            found = Followed(
+            found = Correlate(
                 name, share, float(edges[most]), float(edges[most + 1]), float(means[most])
             )
     return found

@@ -139,7 +139,7 @@ UNIT = dict.fromkeys(ApproachLimits.model_fields, "m/s") | {
 }
 
 
-class Limits(Strictly):
+class DockingLimits(Strictly):
     """Limits of the approach and of the loads on the interface, for a verdict on the run."""
 
     standard: Literal["idss"] | None = Field(

@@ -37,7 +37,7 @@ from hiltestbed.effects.table import AnyEffect
 from hiltestbed.identification.settings import IDENTIFIERS, AnyIdentifier
 from hiltestbed.numerical_model.settings import MODELS, AnyModel
 from hiltestbed.platform.settings import Rig
-from hiltestbed.scenario.limits import Limits
+from hiltestbed.scenario.limits import DockingLimits
 from hiltestbed.scenario.monitoring import Monitoring
 from hiltestbed.scenario.safety import SafetyLimits
 from hiltestbed.scenario.spacecraft import Approach, Spacecraft
@@ -105,7 +105,7 @@ class Scenario(Strictly):
         default=SafetyLimits(),
         description="Safety limits: a run that exceeds one is stopped; null: no limit",
     )
-    limits: Limits | None = Field(
+    limits: DockingLimits | None = Field(
         default=None,
         description="Limits of the approach and of the loads on the interface, for a verdict on "
         "the run, which they do not stop; null: none",
