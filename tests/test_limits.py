@@ -1,4 +1,4 @@
-"""Limits: loads and conditions of the first contact against closed forms, and what is said of them."""
+"""DockingLimits: loads and conditions of the first contact against closed forms, and what is said of them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hiltestbed.errors import InputError
 from hiltestbed.report.run import run_report
 from hiltestbed.run_folder.folders import parquet_table
 from hiltestbed.scenario import scenario_from
-from hiltestbed.scenario.limits import STANDARDS, UNIT, Limits, LoadLimits, in_si
+from hiltestbed.scenario.limits import STANDARDS, UNIT, DockingLimits, LoadLimits, in_si
 from tests.running import run, shipped
 
 IDEAL = {"rig.platform.tracking": "ideal", "duration": 0.8}
@@ -83,7 +83,7 @@ def test_the_standard_and_what_replaces_it() -> None:
     """Every limit of the standard is one of the scenario's keys; a value given replaces it; a lowest
     speed is passed from above.
     """
-    given = Limits(standard="idss", soft_capture=LoadLimits(compression="1 kN", shear="50 lbf"))
+    given = DockingLimits(standard="idss", soft_capture=LoadLimits(compression="1 kN", shear="50 lbf"))
     each = given.each()
     whole = {(p, n) for p, limits in STANDARDS["idss"].items() for n in limits}
     assert set(each) == whole | {("soft_capture", "shear")}
@@ -161,7 +161,7 @@ def test_a_limit_survives_a_resolved_scenario() -> None:
     scenario = shipped("02-bumper", {"limits": {"approach": {"roll": "4 deg"}}})
     again = scenario_from(scenario.model_dump(mode="json"))
     assert again.limits == scenario.limits
-    assert set(UNIT) >= {name for _, name in Limits(standard="idss").each()}
+    assert set(UNIT) >= {name for _, name in DockingLimits(standard="idss").each()}
     assert in_si("1e3 mm", "m") == 1.0
 
 
