@@ -83,7 +83,9 @@ def test_the_standard_and_what_replaces_it() -> None:
     """Every limit of the standard is one of the scenario's keys; a value given replaces it; a lowest
     speed is passed from above.
     """
-    given = DockingLimits(standard="idss", soft_capture=LoadLimits(compression="1 kN", shear="50 lbf"))
+    given = DockingLimits(
+        standard="idss", soft_capture=LoadLimits(compression="1 kN", shear="50 lbf")
+    )
     each = given.each()
     whole = {(p, n) for p, limits in STANDARDS["idss"].items() for n in limits}
     assert set(each) == whole | {("soft_capture", "shear")}
