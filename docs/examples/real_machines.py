@@ -107,7 +107,7 @@ def machine(r: Record) -> Iterable[str]:
     yield from (
         "",
         f"Fitted: {', '.join(r['fitted'])}. {r['ratio']:.2f} times the expert's residual, "
-        f"{r['cpu']:.0f} s of processor time.",
+        f"{r['cpu']:.0f} s of processor time (`hiltestbed bench real`).",
         "",
     )
     if r["parameters"]:
