@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiltestbed.devices.fmu import POSE, TWIST, WRENCH, CoSimulation
+from hiltestbed.devices.cosimulation import POSE, TWIST, WRENCH, CoSimulation
 from hiltestbed.devices.interface import DeviceError
 from hiltestbed.devices.layout import UNIT_LENGTH
 from hiltestbed.errors import InputError

@@ -16,8 +16,9 @@ import pytest
 
 from hiltestbed.analysis.ledger import contact_frequency
 from hiltestbed.analysis.stability import stability
-from hiltestbed.devices.fmu import POSE, CoSimulation, pack
-from hiltestbed.devices.fmu import WRENCH as AXES
+from hiltestbed.devices.cosimulation import POSE, CoSimulation
+from hiltestbed.devices.cosimulation import WRENCH as AXES
+from hiltestbed.devices.fmu import pack
 from hiltestbed.devices.interface import DeviceError
 from hiltestbed.errors import InputError
 from hiltestbed.numerical_model.bodies import effective_mass
@@ -313,7 +314,7 @@ def test_a_warning_is_logged_once_and_its_results_are_used(
     with caplog.at_level(logging.WARNING), CoSimulation(built(), IN, ["pose.pz"]) as model:
         path = [model.step(_status(k > 0), PERIOD)[0] for k in range(4)]
     np.testing.assert_allclose(np.diff(path), PERIOD * SPEED, rtol=1e-9)
-    said = [r.getMessage() for r in caplog.records if r.name == "hiltestbed.devices.fmu"]
+    said = [r.getMessage() for r in caplog.records if r.name == "hiltestbed.devices.cosimulation"]
     assert len(said) == 1
     assert "fmi3DoStep returned a warning at t = 0.001000 s" in said[0]
 

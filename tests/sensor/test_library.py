@@ -82,7 +82,7 @@ def test_the_callback_of_mujoco_reads_the_force_of_ten_steps_before() -> None:
 
 def test_the_packed_sensor_is_that_in_python(tmp_path: Path, call) -> None:
     pytest.importorskip("pythonfmu3")
-    from hiltestbed.devices.fmu import WRENCH, CoSimulation
+    from hiltestbed.devices.cosimulation import WRENCH, CoSimulation
 
     name = "04-bumper-delay-compensated"
     status, out, _ = call("fmu", name, "--part", "sensor", "--out", str(tmp_path))

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hiltestbed.devices.fmu import CoSimulation, described
+from hiltestbed.devices.cosimulation import CoSimulation, described
 from hiltestbed.errors import HiltestbedError
 
 INPUTS, PARAMETERS, FOUND = ("y",), ("h", "m", "x0", "v0", "delay", "noise"), ("k", "c")
