@@ -131,7 +131,7 @@ def by_values(data: Mapping[str, Array]) -> dict[str, Role]:
     """Roles of columns without names, as :data:`BARE` says; the rest is open."""
     roles = {name: Role(name, "other", None, False, "", "") for name in data}
     for name, values in data.items():
-        steps = np.diff(_finite(values))
+        steps = np.diff(finite(values))
         if steps.min() > 0.0 and np.ptp(steps) < np.mean(steps):
             roles[name] = roles[name]._replace(quantity="time")
             break
@@ -139,7 +139,7 @@ def by_values(data: Mapping[str, Array]) -> dict[str, Role]:
     pairs = [
         (correlation(data[a], data[b]), a, b)
         for a, b in combinations(rest, 2)
-        if 0.5 < np.ptp(_finite(data[a])) / np.ptp(_finite(data[b])) < 2.0
+        if 0.5 < np.ptp(finite(data[a])) / np.ptp(finite(data[b])) < 2.0
     ]
     alike, a, b = max(pairs, default=(0.0, "", ""))
     if alike > ALIKE:
@@ -151,7 +151,8 @@ def by_values(data: Mapping[str, Array]) -> dict[str, Role]:
     return roles
 
 
-def _finite(values: Array) -> Array:
+def finite(values: Array) -> Array:
+    """The values that are finite."""
     return values[np.isfinite(values)]
 
 
@@ -159,7 +160,7 @@ def time_unit(t: Array) -> tuple[str, str]:
     """The unit of stamps ``(rows,)`` that state none, and why: the one in which the sample rate
     lies between 10 Hz and 20 kHz, the largest where several do.
     """
-    known = _finite(t)
+    known = finite(t)
     step = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
     for unit, rate in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
         if step > 0.0 and 10.0 <= rate / step <= 2e4:
