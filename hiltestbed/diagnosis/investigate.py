@@ -252,14 +252,9 @@ def links_of(layout: DatasetLayout) -> list[ModelLink]:
     if "wrench" in layout.missing:
         return found
     layout, path = _path(layout, {})
-    return (
-        found
-        if too_divergent(layout, path)
-        else [
-            *found,
-            make_wrench_link(layout, path, layout.rows),
-        ]
-    )
+    if too_divergent(layout, path):
+        return found
+    return [*found, make_wrench_link(layout, path, layout.rows)]
 
 
 def compensation(layout: DatasetLayout, rows: Sequence[int]) -> CompensationLink:

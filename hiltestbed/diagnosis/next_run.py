@@ -35,7 +35,7 @@ from hiltestbed.diagnosis.investigate import links_of
 from hiltestbed.diagnosis.layout import lay_out
 from hiltestbed.diagnosis.link_model import LinkModel
 from hiltestbed.diagnosis.links import WrenchLink
-from hiltestbed.diagnosis.plain import entry
+from hiltestbed.diagnosis.plain import LINK_NAMES, entry
 from hiltestbed.diagnosis.result import Experiment, Finding
 from hiltestbed.effects.search import Candidate
 from hiltestbed.effects.table import EFFECTS
@@ -55,7 +55,6 @@ INPUT = {
     "contact": "a known motion",
     "log": "a motion and a force at known instants",
 }
-
 
 Change = tuple[float, Array, Array]  # |d|^2, S d and S S'
 
@@ -136,10 +135,11 @@ def _beyond(pair: OpenPair, most: float) -> str:
     """What would tell a pair apart that no run does."""
     links = {EFFECTS[kind].link for kind in pair.kinds if kind in EFFECTS}
     first = next((link for link in INPUT if link in links), "contact")
+    name = LINK_NAMES.get(first, first)
     return (
         f"No other speed, spring, mass or attitude and no further channel of the loop tells "
-        f"{' from '.join(pair.names)} ({most:.2g} standard deviations at most): give the {first} "
-        f"{INPUT[first]}."
+        f"{' from '.join(pair.names)} ({most:.2g} standard deviations at most): record the "
+        f"{name} by itself under {INPUT[first]}."
     )
 
 
