@@ -57,6 +57,9 @@ from hiltestbed.frames import Array
 ) = range(30)
 STILL = 1e-30  # [m/s] stands for no speed, with a direction
 MOST = 4  # sliders, and branches
+# strokes to either side that are tried at once for the start of the sliders, and the share of the
+# longest at which the search ends: it then costs as much as some hundred rows
+STROKES, STROKE_END = 4, 1e-2
 FORCE, STIFFNESS, SHAPE = range(3)  # of a slider; SHAPE 0: elastic until it slips
 BRANCH, TIME = range(2)  # of a Maxwell branch: [N/m], [s]
 
@@ -144,17 +147,48 @@ def held(p, x, t):
 
 
 @njit(cache=True)
-def force_along(t, x, v, a, way, p, sliders, branches):
+def force_along(t, x, v, a, way, p, sliders, branches, first):
     """``(N,)`` force [N] along a motion: time [s], position, speed, acceleration (N,), and the mean
     sign of the speed (N,) over what each row stands for, -1 to 1.
+
+    ``first``: (M,) force [N] measured at the first rows. What bent the sliders before is not on
+    record; it is taken for one stroke, after which the first rows are met best. Without rows they
+    are unbent.
     """
-    n = len(t)
-    out = np.empty(n)
-    at = np.full(sliders.shape[0], x[0])  # where each slider stands
+    out = np.empty(len(t))
+    most = 0.0  # stroke after which all sliders slip
+    for i in range(sliders.shape[0]):
+        if sliders[i, FORCE] > 0.0:
+            most = max(most, sliders[i, FORCE] / sliders[i, STIFFNESS] + 0.5 * p[PLAY])
+    stroke = 0.0
+    if len(first) and most > 0.0:
+        reach, best = most, np.inf
+        while reach > STROKE_END * most:
+            centre = stroke
+            for j in range(-STROKES, STROKES + 1):
+                tried = min(max(centre + reach * j / STROKES, -most), most)
+                _along(t, x, v, a, way, p, sliders, branches, tried, out[: len(first)])
+                missed = np.sum((out[: len(first)] - first) ** 2)
+                if missed < best:
+                    stroke, best = tried, missed
+            reach /= STROKES
+    _along(t, x, v, a, way, p, sliders, branches, stroke, out)
+    return out
+
+
+@njit(cache=True)
+def _along(t, x, v, a, way, p, sliders, branches, stroke, out):
+    """Write the force along a motion, whose sliders are bent by a ``stroke`` [m], to ``out``."""
+    at = np.empty(sliders.shape[0])  # where each slider stands
     bent = np.zeros(sliders.shape[0])
+    for i in range(sliders.shape[0]):
+        most, stiff = sliders[i, FORCE], sliders[i, STIFFNESS]
+        reach = most / stiff + 0.5 * p[PLAY] if most > 0.0 else 0.0
+        at[i] = x[0] - min(max(stroke, -reach), reach)
+        bent[i] = min(max(stiff * stroke, -most), most)
     stress = np.zeros(branches.shape[0])
     lagged = 0.0
-    for k in range(n):
+    for k in range(len(out)):
         dt = t[k] - t[k - 1] if k > 0 else 0.0
         step = x[k] - x[k - 1] if k > 0 else 0.0
         loss = viscous(p, v[k])
@@ -195,7 +229,6 @@ def force_along(t, x, v, a, way, p, sliders, branches):
         else:
             lagged = loss
         out[k] = rest + loss
-    return out
 
 
 @njit(cache=True)

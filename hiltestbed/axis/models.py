@@ -40,7 +40,8 @@ LONGEST_RESPONSE = 1e-2  # [s] of a step of a servo, which is exact but for limi
 RESISTANCES = ("viscous", "coulomb", "offset")  # numbers of a nominal drive
 LONGEST_STEP = 1e-3  # [s] of an integration; friction and controllers of machines are slower
 STEPS_A_RADIAN = 4.0  # steps of an integration per radian of the fastest response
-START_ROWS = 24  # rows from which a speed at the start is estimated
+START_ROWS = 24  # rows from which the state at the start is estimated
+NOT_MEASURED = np.zeros(0)
 START_STEPS = 2  # of Gauss-Newton: a motion is all but linear in its start
 # of the mean speed of the first rows, by which their slope is a difference; [m/s] of rows at rest
 START_NUDGE = 1e-3
@@ -303,7 +304,8 @@ class DamperModel(AxisModel):
     def _force(self, of: Hypothesis) -> list[Array]:
         """(N,) at the even times."""
         law = self.law(of.effects())
-        return [along(m, law) for m in self._motions]
+        pairs = zip(self._motions, self._even, strict=True)
+        return [along(m, law, y[:START_ROWS]) for m, (_, _, y) in pairs]
 
 
 class DriveModel(AxisModel):
@@ -448,9 +450,9 @@ def started(r: AxisRun, late: float, law: Array) -> tuple[float, float]:
     return float(start[0]), float(start[1])
 
 
-def along(m: Motion, law: AxisLaw) -> Array:
-    """(N,) force of a ``law`` along a motion."""
-    return force_along(m.t, m.x, m.v, m.a, m.way, law.numbers, law.sliders, law.branches)
+def along(m: Motion, law: AxisLaw, first: Array = NOT_MEASURED) -> Array:
+    """(N,) force of a ``law`` along a motion, of which the force at its ``first`` rows is known."""
+    return force_along(m.t, m.x, m.v, m.a, m.way, law.numbers, law.sliders, law.branches, first)
 
 
 MODELS: dict[AxisKind, type[AxisModel]] = {

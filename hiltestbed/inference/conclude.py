@@ -20,16 +20,12 @@ from hiltestbed.inference.model import Model, places
 from hiltestbed.inference.residuals import RunResiduals
 from hiltestbed.inference.search import Searched, extended, named, without
 
-# of the rms on left-out runs, in the mean of its logarithm, by which a cause has to lower it: what
-# is worth less no test engineer asks for
+# of the rms on left-out runs, in the mean of its logarithm: what is worth less no test engineer
+# asks for
 LEAST_GAIN = 0.03
 PRIOR_SHARE = 0.95  # of a range, that the 95 % interval of its uniform prior has
 RIVALS = 3  # effects that are fitted in the place of a cause
-# the same of a cause whose interval alone does not exclude that there is none: with few runs it is
-# wide
-DETERMINED_GAIN = 0.1
 POOL = 8  # sets of effects that are compared on left-out runs
-TIED = 0.01  # of the rms on left-out runs, within which two hypotheses predict as well
 # log of the odds of 19 to 1, at which two explanations count as told apart
 TOLD_APART = math.log(19.0)
 # quantile of Student's t with two runs less one is 12.7; with so few the scatter is bounded by the
@@ -128,13 +124,29 @@ class LeftOut:
         """Mean logarithm of the rms of the residuals of the left-out parts; where the noise is
         known, half their cost an independent sample, which above the noise is the same.
         """
-        pairs = list(zip(self.fits(found), self._folds, strict=True))
         if not self._folds[0][1].model.noise_known:
-            each = np.array([_rms(left.model.scored(f.of)) for f, (_, left) in pairs])
-            return float(np.mean(np.log(np.maximum(each, 1e-300))))
+            return float(np.mean(self._log_rms(found)))
+        pairs = list(zip(self.fits(found), self._folds, strict=True))
         scored = [RunResiduals.of([*left.model.scored(f.of), NO_PRIORS]) for f, (_, left) in pairs]
         costs = [left.cost(x) for x, (_, left) in zip(scored, self._folds, strict=True)]
         return sum(costs) / (2.0 * sum(float(left.counts.sum()) for _, left in self._folds))
+
+    def worse(self, one: PosteriorFit, other: PosteriorFit, certain: bool = False) -> bool:
+        """Whether ``one`` predicts the left-out parts worse than the ``other``: by more than
+        :data:`LEAST_GAIN`, and by more than a standard error of the difference over the parts (L.
+        Breiman, J. Friedman, R. Olshen, C. Stone, Classification and Regression Trees, 1984).
+        ``certain``: by as many of them as chance reaches once in twenty.
+        """
+        more = self._log_rms(one) - self._log_rms(other)
+        error = float(np.std(more, ddof=1)) / math.sqrt(len(more))
+        errors = float(student.ppf(0.95, len(more) - 1)) if certain else 1.0
+        return float(np.mean(more)) > max(LEAST_GAIN, errors * error)
+
+    def _log_rms(self, found: PosteriorFit) -> Array:
+        """(F,) logarithm of the rms of the residual of each left-out part."""
+        pairs = zip(self.fits(found), self._folds, strict=True)
+        each = [_rms(left.model.scored(f.of)) for f, (_, left) in pairs]
+        return np.log(np.maximum(each, 1e-300))
 
 
 def _rms(parts: Sequence[Array]) -> float:
@@ -148,38 +160,41 @@ def conclude(
     candidates: Sequence[Candidate],
     progress: Progress | None = None,
 ) -> SearchConclusion:
-    """What holds of the best hypothesis: causes are left out, the least useful first, while the
-    runs that were not fitted are predicted as well without them.
+    """What holds of the best hypothesis: the one with the most evidence, unless another, or one
+    with fewer causes, predicts the parts that were not fitted better. Where the noise is known,
+    causes are left out, the least useful first, while these are predicted as well without them.
     """
     held, likelihood = LeftOut(found.likelihood, folds), found.likelihood
     known = likelihood.model.noise_known
-    least = 0.0 if known else LEAST_GAIN
     settled, judge = _in_time(found, folds) or (None, held)
     if progress:
         progress("left-out runs: the hypotheses with the most evidence")
-    # of those that predict as well, the one with the most evidence
     fit = found.best if found.best.evidence > found.null.evidence else found.null
-    if not known:
-        fit = min(_pool(found), key=lambda f: (round(judge.score(f) / TIED), -f.evidence))
+    pool = [] if known else _pool(found)
     # what is known to leave noise alone is right as far as these data tell
     enough = likelihood.model.leaves_noise(fit.left)
-    score = judge.score(fit)
-    while fit.causes and not enough:
+    while not enough:
         if progress:
             progress(f"left-out runs: {named(fit)}")
         fewer = [without(likelihood, fit, i) for i in range(len(fit.causes))]
-        scores = [judge.score(f) for f in fewer]
-        worst = int(np.argmin(scores))
-        if scores[worst] > score + least:
+        if known:
+            better = [f for f in fewer if judge.score(f) <= judge.score(fit)]
+            better.sort(key=judge.score)
+        else:
+            better = [f for f in (*pool, *fewer) if judge.worse(fit, f)]
+            better.sort(key=lambda f: -f.evidence)
+        if not better:
             break
-        fit, score = fewer[worst], scores[worst]
+        fit = better[0]
     ends = intervals(likelihood, fit, held)
-    while (open_ := undetermined(fit, ends)) is not None:
-        fewer_ = without(likelihood, fit, open_)
-        if not known and judge.score(fewer_) > score + DETERMINED_GAIN:
-            break
-        fit, score = fewer_, judge.score(fewer_)
-        ends = intervals(likelihood, fit, held)
+    open_ = undetermined(fit, ends)
+    while open_:
+        fewer_ = without(likelihood, fit, open_.pop(0))
+        told = likelihood.again(fit).evidence - fewer_.evidence > TOLD_APART
+        if known or not (told or judge.worse(fewer_, fit, certain=True)):
+            fit, ends = fewer_, intervals(likelihood, fewer_, held)
+            open_ = undetermined(fit, ends)
+    score = judge.score(fit)
     null = found.null
     before, after = judge.rms(null), judge.rms(fit)
     if settled is not None and fit.causes:
@@ -223,11 +238,11 @@ def _more_left(likelihood: Likelihood, fewer: PosteriorFit, fit: PosteriorFit) -
     return (costs[0] - costs[1]) / (2.0 * float(likelihood.counts.sum()))
 
 
-def undetermined(fit: PosteriorFit, ends: Array) -> int | None:
-    """The last cause of a fit whose size may be none, or of which an interval is as wide as that of
-    a uniform prior: the data do not determine it. None where all are determined.
+def undetermined(fit: PosteriorFit, ends: Array) -> list[int]:
+    """The causes of a fit, the last first, whose size may be none, or of which an interval is as
+    wide as that of a uniform prior: the data do not determine them.
     """
-    where = places(fit.causes)
+    where, out = places(fit.causes), []
     for index in reversed(range(len(fit.causes))):
         cause, own = fit.causes[index], ends[where[index]]
         if not cause.names:
@@ -242,8 +257,8 @@ def undetermined(fit: PosteriorFit, ends: Array) -> int | None:
         width = rows[:, 3] - rows[:, 2]
         spans = (rows[:, 1] - rows[:, 0]) >= PRIOR_SHARE * width
         if none or (spans.all() if cause.vector else spans.any()):
-            return index
-    return None
+            out.append(index)
+    return out
 
 
 def _pool(found: Searched) -> list[PosteriorFit]:

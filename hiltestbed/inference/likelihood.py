@@ -241,7 +241,7 @@ class Likelihood:
         if iterations == ITERATIONS:
             x, left, least = self._scanned(causes, x, left, least, (low, high))
         count = len(x) - len(eta)
-        ended = _ended(x, low, high, log) or (self.model.noise_known and _at_end(causes, x))
+        ended = _at_end(causes, x)
         of = Hypothesis(causes, x[:count], x[count:])
         ended = ended or (iterations == ITERATIONS and self.model.contradicts(of, left))
         evidence = -math.inf if ended else self.evidence(least, causes)
@@ -543,24 +543,19 @@ class Likelihood:
         return gram.products @ precision + gram.priors, gram.along @ precision + gram.along_priors
 
 
-def _ended(x: Array, low: Array, high: Array, log: np.ndarray) -> bool:
-    """Whether a number that is searched by ratio stands at an end of its range: that means nothing
-    by itself, and what stands there stands in for something else.
-    """
-    if not log.any():
-        return False
-    at, a, b = np.log(x[log]), np.log(low[log]), np.log(high[log])
-    return bool(np.any(np.minimum(at - a, b - at) < NEAR * (b - a)))
-
-
 def _at_end(causes: Sequence[Candidate], x: Array) -> bool:
-    """Whether a number of a cause, searched by difference, stands at an end of its range other than
-    0, where it is none.
+    """Whether a number of a cause stands at an end of its range, other than at the 0 of one that is
+    searched by difference, where it is none: that means nothing by itself, and what stands there
+    stands in for something else.
     """
     for c, own in zip(causes, places(causes), strict=True):
-        at, width = x[own], NEAR * (c.high - c.low)
-        ends = (at >= c.high - width) | ((c.low < 0.0) & (at <= c.low + width))
-        if c.sigma is None and bool(np.any(ends & ~c.log)):
+        ends = np.array([x[own], c.low, c.high])
+        ends[:, c.log] = np.log(ends[:, c.log])
+        at, low, high = ends
+        width = NEAR * (high - low)
+        lowest = (at <= low + width) & (c.log | (c.low < 0.0))
+        free = ~c.log & (c.sigma is not None)
+        if np.any(((at >= high - width) | lowest) & ~free):
             return True
     return False
 

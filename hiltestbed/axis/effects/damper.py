@@ -20,7 +20,7 @@ class DamperStiffness(DamperEffect):
     """The stiffness differs from the nominal one."""
 
     kind: Literal["contact.stiffness"] = "contact.stiffness"
-    factor: float = quantity("-", "True stiffness over nominal stiffness", search=(-5.0, 5.0))
+    factor: float = quantity("-", "True stiffness over nominal stiffness", search=(0.0, 5.0))
     equation = "k -> factor k"
     reference = "Hooke"
 
@@ -222,12 +222,12 @@ class DamperKnee(DamperEffect):
 
     kind: Literal["contact.knee"] = "contact.knee"
     speed: float = quantity("m/s", "Speed at which the valve opens", gt=0.0, ratio=True)
-    slope: float = quantity("-", "Slope beyond it over that below it", search=(-0.5, 5.0))
+    slope: float = quantity("-", "Slope beyond it over that below it", search=(0.0, 5.0))
     rebound_speed: float | None = quantity(
         "m/s", "The same at negative speeds; omitted: equal", default=None, gt=0.0, ratio=True
     )
     rebound_slope: float | None = quantity(
-        "-", "The same at negative speeds; omitted: equal", default=None, search=(-0.5, 5.0)
+        "-", "The same at negative speeds; omitted: equal", default=None, search=(0.0, 5.0)
     )
     equation = "F = c v up to the speed, slope c after it"
     reference = "J. C. Dixon, The Shock Absorber Handbook, 2007"
