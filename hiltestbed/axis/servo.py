@@ -86,14 +86,12 @@ def response(t, u, y0, p, longest):
     """
     n = len(t)
     out = np.empty(n)
-    limited = commanded(t, u, t[0] - p[DELAY])
-    first = second = limited
     w, zeta, most = p[BANDWIDTH], p[ZETA], p[ACCELERATION]
-    x = y0 if w > 0.0 else limited
-    v = q = 0.0
     gap = 0.5 * p[PLAY]
-    played = (y0 - p[OFFSET]) / p[SCALE] if p[SCALE] != 0.0 else 0.0
-    stuck, stepped = played, 0.0
+    # all that moves rests where the record begins
+    x = (y0 - p[OFFSET]) / p[SCALE] if p[SCALE] != 0.0 else 0.0
+    limited = first = second = played = stuck = x
+    v = q = stepped = 0.0
     a = b = c = d = 0.0
     for k in range(n):
         dt = t[k] - t[k - 1] if k > 0 else 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hiltestbed.axis import servo
 from hiltestbed.axis.law import FORCE, PLAY, SHAPE, STIFFNESS, AxisLaw
 from hiltestbed.axis.models import START_ROWS, along
 from hiltestbed.axis.motion import motion_of
@@ -47,3 +48,16 @@ def test_several_sliders_share_the_force_of_a_first_stroke():
     for row in (200, 600, 900):
         cut = along(motion.thinned(slice(row, None)), law, whole[row : row + START_ROWS])
         np.testing.assert_allclose(cut, whole[row:], atol=0.02 * SLIP)
+
+
+@pytest.mark.parametrize("numbers", [{servo.SPEED: 0.5}, {servo.POLE: 0.4}])
+def test_a_record_of_a_servo_may_begin_on_the_way_to_its_command(numbers):
+    p = servo.following()
+    for place, value in numbers.items():
+        p[place] = value
+    t = np.arange(300) / 100.0
+    u = np.where(t < 0.5, 0.0, 1.0)
+    whole = servo.response(t, u, 0.0, p, 1e-2)
+    cut = servo.response(t[90:], u[90:], whole[90], p, 1e-2)
+    assert 0.1 < whole[90] < 0.9
+    np.testing.assert_allclose(cut, whole[90:], atol=1e-12)
