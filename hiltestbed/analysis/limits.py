@@ -20,6 +20,7 @@ from hiltestbed.scenario.limits import LEAST, UNIT, DockingLimits
 
 # share of a limit from which it counts as exceeded: noise of the force changes a nominal approach
 BEYOND = 1.001
+TINY = 1e-9  # [N], [N m] rounding errors of a drive that a contact does not load
 # rows of Outcomes.loads
 LOADS = ("compression", "tension", "shear", "bending", "torsion")
 Found = Mapping[str, Mapping[str, float] | None]
@@ -96,14 +97,14 @@ def rig_ahead(scenario: Scenario) -> tuple[str, ...]:
         found.append((f"is beyond safety.force, {limit:g} N", limit / peak))
     if (drives := demand_of(scenario)) is not None:
         rest, contact = drives.weight, drives_in_contact(scenario, drives, peak)
-        j = int(np.argmax(np.abs(rest + contact) / drives.most))
-        axis, force = drives.axes[j], abs(rest[j] + contact[j])
-        if force > axis.force > abs(rest[j]):
-            left = axis.force - math.copysign(rest[j], rest[j] * contact[j])
+        left = drives.most - np.copysign(rest, rest * contact)  # in the direction of the contact
+        shares = left / np.maximum(np.abs(contact), TINY)
+        j = int(np.argmin(shares))
+        if 0.0 < shares[j] < 1.0:
+            axis, force = drives.axes[j], abs(rest[j] + contact[j])
             unit = "N" if axis.unit == "m" else "N m"
             takes = f"takes {force:.4g} {unit} of the drive of joint {axis.joint}, weight included"
-            most = f"its limit is {axis.force:.4g} {unit}"
-            found.append((f"{takes}; {most}", left / abs(contact[j])))
+            found.append((f"{takes}; its limit is {axis.force:.4g} {unit}", shares[j]))
     return tuple(
         f"warning: the contact's peak force, {peak:.4g} N at {speed:.3g} m/s, {what}; approach at "
         f"less than {speed * share:.3g} m/s, or take a softer contact"

@@ -211,7 +211,7 @@ def test_a_check_says_which_contact_a_drive_cannot_exert(tmp_path: Path) -> None
     file = tmp_path / "hard.yaml"
     file.write_text(dump_scenario(bounce("serial_arm", hard)))
     said = [text for text in look_at(file).remarks if "of the drive of joint" in text]
-    found = re.search(r"joint a5.*limit is 3000 N m; approach at less than (\S+) m/s", *said)
+    found = re.search(r"joint a.*its limit is .* N m; approach at less than (\S+) m/s", *said)
     assert found is not None
     for share, count in ((0.99, 0), (1.01, 1)):
         speed = {"approach.velocity.2": share * float(found[1])}
