@@ -68,6 +68,14 @@ def test_solref_is_the_spring_and_damper_that_a_drop_shows(
         assert back.damping == pytest.approx(asked.damping, rel=1e-9, abs=1e-9)
 
 
+def test_a_heavy_body_on_a_soft_contact_does_not_fall_through_the_plate() -> None:
+    """It goes 0.7 m deep, more than the ball's radius."""
+    asked = with_cor(1e3, 1.0, 1e4)
+    drop = bounce_in_mujoco(mujoco_parameters(asked), (2e4, 2e4), 0.2268)
+    assert drop.penetration.max() == pytest.approx(asked.penetration(0.2268), rel=2e-3)
+    assert drop.stiffness == pytest.approx(1e3, rel=1e-3)
+
+
 @pytest.mark.parametrize("ratio", [0.05, 0.3, 0.8, 1.0, 3.0])
 def test_the_bounce_in_closed_form_is_that_of_small_steps(ratio: float) -> None:
     contact = SpringDamper(1e5, ratio * 2.0 * math.sqrt(1e5 * 400.0), 400.0)

@@ -10,13 +10,17 @@ import numpy as np
 
 from hiltestbed.analysis.spring_damper import SpringDamper
 from hiltestbed.contact.directions import acting_along_z
+from hiltestbed.contact.touch import INSERTION
 from hiltestbed.frames import Array, pose_step
-from hiltestbed.numerical_model.bodies import approach_state, effective_mass
+from hiltestbed.numerical_model.bodies import approach_state, effective_mass, mobility
+from hiltestbed.platform.build import built, demand_of
+from hiltestbed.platform.facilities.demand import Demand
 from hiltestbed.scenario import Scenario
 from hiltestbed.scenario.limits import LEAST, UNIT, DockingLimits
 
 # share of a limit from which it counts as exceeded: noise of the force changes a nominal approach
 BEYOND = 1.001
+TINY = 1e-9  # [N], [N m] rounding errors of a drive that a contact does not load
 # rows of Outcomes.loads
 LOADS = ("compression", "tension", "shear", "bending", "torsion")
 Found = Mapping[str, Mapping[str, float] | None]
@@ -78,6 +82,45 @@ def in_words(row: Mapping[str, Any]) -> str:
     quantity, value, limit, unit = in_cells(row)
     bound = "at least" if quantity.endswith(LEAST) else "at most"
     return f"{quantity} is {value} {unit}, allowed is {bound} {limit} {unit}"
+
+
+def rig_ahead(scenario: Scenario) -> tuple[str, ...]:
+    """Whether the peak force of a bounce along the insertion on spring and damper is more than the
+    safety limit of the sensor, or than a drive can exert.
+    """
+    speed, limit = scenario.approach.velocity[2], scenario.safety.force
+    if scenario.mechanism.captured or speed <= 0.0:
+        return ()
+    (k, c), mass = acting_along_z(scenario), effective_mass(scenario)
+    peak, found = SpringDamper(k, c, mass).peak_force(speed), []
+    if limit is not None and peak > limit:
+        found.append((f"is beyond safety.force, {limit:g} N", limit / peak))
+    if (drives := demand_of(scenario)) is not None:
+        rest, contact = drives.weight, drives_in_contact(scenario, drives, peak)
+        left = drives.most - np.copysign(rest, rest * contact)  # in the direction of the contact
+        shares = left / np.maximum(np.abs(contact), TINY)
+        j = int(np.argmin(shares))
+        if 0.0 < shares[j] < 1.0:
+            axis, force = drives.axes[j], abs(rest[j] + contact[j])
+            unit = "N" if axis.unit == "m" else "N m"
+            takes = f"takes {force:.4g} {unit} of the drive of joint {axis.joint}, weight included"
+            found.append((f"{takes}; its limit is {axis.force:.4g} {unit}", shares[j]))
+    return tuple(
+        f"warning: the contact's peak force, {peak:.4g} N at {speed:.3g} m/s, {what}; approach at "
+        f"less than {speed * share:.3g} m/s, or take a softer contact"
+        for what, share in found
+    )
+
+
+def drives_in_contact(scenario: Scenario, drives: Demand, force: float) -> Array:
+    """``(J,)`` force of the drives beyond the weight [N, N m] while a contact along the insertion
+    pushes the sides apart with ``force`` [N]: they carry it, and decelerate what they move.
+    """
+    parts = np.array(built(scenario.rig.platform).tool_shares)
+    sides = np.array([1.0, -1.0][: len(parts)])  # P does the opposite of A
+    push = -force * INSERTION
+    accel = np.kron(sides * parts, mobility(scenario) @ push)
+    return drives.inertia @ accel + drives.load @ np.kron(sides, push)
 
 
 def ahead(scenario: Scenario) -> tuple[str, ...]:

@@ -33,6 +33,8 @@ PASSES = 6  # of a drop, each with the step for STEPS that the last one showed
 LONGEST = 1_000_000  # steps of a drop, after which it is given up
 GAP = 1e-6  # [m] between the geoms before the drop
 RADIUS = 0.05  # [m] of a ball that meets a plate
+# [m] half of the plate, in which the ball stays: 40 t on 1 kN/m at 1 m/s go 6 m deep
+THICK = 100.0
 # [m] radius of gyration: the drop is one of masses. A contact 0.1 m off the centre of mass then
 # sees 1e-4 less of them; much larger ratios of inertia to mass spoil the solver's convergence
 GYRATION = 10.0
@@ -112,7 +114,10 @@ def bounce_in_mujoco(
     first, second = spec.body("a"), spec.body("b")
     first.add_geom(name="a", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS, 0, 0])
     second.add_geom(
-        name="b", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5, 0.5, 0.1], pos=[0, 0, -0.1]
+        name="b",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[2 * THICK, 2 * THICK, THICK],
+        pos=[0, 0, -THICK],
     )
     pair = {"geomname1": "a", "geomname2": "b", "condim": 1, "margin": 0.0, "gap": 0.0}
     spec.add_pair(**pair, solref=parameters.solref, solimp=parameters.solimp)

@@ -66,7 +66,7 @@ def _look_at(path: str | Path, data: bool, set: Mapping[str, Any] | None = None)
 
 
 def _scenario(source: Source, data: bool) -> FileReport:
-    from hiltestbed.analysis.limits import ahead
+    from hiltestbed.analysis.limits import ahead, rig_ahead
     from hiltestbed.config.budget import run_budget
     from hiltestbed.config.models import remarks_on
     from hiltestbed.config.sense import warnings
@@ -79,12 +79,18 @@ def _scenario(source: Source, data: bool) -> FileReport:
         return FileReport("scenario", ())
     models = [file for file, kind in user_files(scenario).values() if kind.mjcf]
     said = (f"{file}: {text}" for file in models for text in remarks_on(file))
-    remarked = (*_as_warnings(warnings(scenario)), *ahead(scenario), *remarks(scenario), *said)
+    remarked = (
+        *_as_warnings(warnings(scenario)),
+        *ahead(scenario),
+        *rig_ahead(scenario),
+        *remarks(scenario),
+        *said,
+    )
     return _within(FileReport("scenario", (), remarked, run_budget([scenario])), source)
 
 
 def _campaign(source: Source, data: bool) -> FileReport:
-    from hiltestbed.analysis.limits import ahead
+    from hiltestbed.analysis.limits import ahead, rig_ahead
     from hiltestbed.campaign.schema import campaign_from
     from hiltestbed.campaign.sweep import varied_in_vain
     from hiltestbed.config.budget import campaign_budget
@@ -94,7 +100,7 @@ def _campaign(source: Source, data: bool) -> FileReport:
     if not data:
         return FileReport("campaign", ())
     said = (*warnings(campaign.nominal), *varied_in_vain(campaign))
-    remarked = (*_as_warnings(said), *ahead(campaign.nominal))
+    remarked = (*_as_warnings(said), *ahead(campaign.nominal), *rig_ahead(campaign.nominal))
     return _within(FileReport("campaign", (), remarked, campaign_budget(campaign)), source)
 
 

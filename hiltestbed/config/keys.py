@@ -33,32 +33,43 @@ class Key:
     default: str
     meaning: str
 
-    def __str__(self) -> str:
-        return self.written([self.kinds])
-
-    def written(self, kinds: Sequence[tuple[str, ...]]) -> str:
-        """The key with its meaning, for sections of these ``kinds`` that share it."""
-        said = [", ".join(f"kind: {kind}" for kind in one) for one in kinds if one]
-        where = f"{self.path} ({'; '.join(said)})" if said else self.path
-        if len(said) > 1:
-            *above, _ = kinds[0]
-            inner = ", ".join(one[-1] for one in kinds)
-            where = f"{self.path} ({', '.join(f'kind: {k}' for k in [*above, inner])})"
+    @property
+    def value(self) -> str:
+        """What it takes and its default, in words; of a ``kind``, which is its name, the latter."""
+        named = bool(self.kinds) and self.takes == self.kinds[-1]
         word = "" if self.default == REQUIRED else "default "
-        default = f"; {word}{self.default}" if self.default else ""
-        return f"{where}: {self.takes}{default}\n    {self.meaning}"
+        default = f"{word}{self.default}" if self.default else ""
+        if named:
+            return "the default" if word and default else ""
+        return "; ".join(filter(None, (self.takes, default)))
 
 
 def text_of(keys: Sequence[Key]) -> str:
-    """The keys with their meanings, one that several kinds share in the same words once."""
-    shared: dict[tuple[object, ...], list[Key]] = {}
+    """Each key once: its value, the kinds that have it, and its meaning; where these differ from
+    kind to kind, a line for each.
+    """
+    of_path: dict[str, list[Key]] = {}
     for key in keys:
-        same = (key.path, key.kinds[:-1], key.takes, key.default, key.meaning)
-        shared.setdefault(same, []).append(key)
-    return "\n".join(
-        alike[0].written(list(dict.fromkeys(key.kinds for key in alike)))
-        for alike in shared.values()
-    )
+        of_path.setdefault(key.path, []).append(key)
+    return "\n".join(_entry(path, alike) for path, alike in of_path.items())
+
+
+def _entry(path: str, keys: Sequence[Key]) -> str:
+    """One key, which several kinds of its section may have."""
+    variants: dict[tuple[str, str], dict[str, None]] = {}
+    for key in keys:
+        variants.setdefault((key.value, key.meaning), {})["/".join(key.kinds)] = None
+    values = {value for value, _ in variants}
+    if len(variants) == 1:
+        kinds = ", ".join(filter(None, next(iter(variants.values()))))
+        where = f"{path} (kind: {kinds})" if kinds else path
+        return f"{where}: {keys[0].value}\n    {keys[0].meaning}"
+    shared = values.pop() if len(values) == 1 else ""
+    lines = [f"{path}: {shared}" if shared else path]
+    for (value, meaning), kinds in variants.items():
+        own = f" ({value})" if value != shared else ""
+        lines.append(f"    {', '.join(kinds)}{own}: {meaning}")
+    return "\n".join(lines)
 
 
 def keys_of(schema: Mapping[str, Any]) -> Iterator[Key]:

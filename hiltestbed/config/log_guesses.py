@@ -12,6 +12,7 @@ import numpy as np
 from hiltestbed.config.log_columns import Log, listed, range_of
 from hiltestbed.frames import Array
 from hiltestbed.measured.joints import joints_of
+from hiltestbed.measured.plausible import TURNED_DEG
 from hiltestbed.measured.roles import (
     COMPENSATED,
     PUSHES,
@@ -25,6 +26,8 @@ from hiltestbed.measured.units import SI_UNIT, UNITS
 
 FREE = 20  # rows at the start of a run from which the approach is taken
 DAMPER = re.compile(r"damper|displac|disp\b|stroke|deflect", re.IGNORECASE)
+# [rad] 30 deg, from which a start is refused: ports in front of each other are not tilted as much
+ATTITUDE = np.radians(TURNED_DEG)
 PARTS = ("pose_cmd.pz", "pose_act.pz", "wrench_meas.fz", "wrench_comp.fz")  # of a rig, at least
 ARM = "arm"
 
@@ -150,21 +153,27 @@ def _in_unit(channel: str, role: Role, si: str, values: Array) -> Entry:
     elif si == "1":
         unit, why = "", "a quaternion"
     else:
-        by_size = {"rad": angle_unit, "m": length_unit}
-        unit, why = by_size[si](values) if si in by_size else (si, "not stated")
+        unit, why = si, "not stated"
+        if si == "m":
+            unit, why = length_unit(values)
+        elif si == "rad":
+            pose = channel.startswith("pose_")
+            unit, why = angle_unit(values, ATTITUDE) if pose else angle_unit(values)
         why = f"guess: unit {why}"
     return Entry(channel, role.column, unit, f"{range_of(values)}; {why}")
 
 
 def _together(entries: Sequence[Entry], channels: Sequence[str], log: Log) -> list[Entry]:
     """The entries with one unit for ``channels`` that state none: the one that is stated for one of
-    them, or that of the largest.
+    them, or degrees if one is too large for rad, or that of the longest travel.
     """
     own = [e for e in entries if e.channel in channels and e.column and e.unit]
     if not own:
         return list(entries)
     stated = [e for e in own if log.roles[e.column].unit]
-    unit = (stated or sorted(own, key=lambda e: -np.ptp(finite(log.data[e.column]))))[0].unit
+    travel = {e.channel: np.ptp(finite(log.data[e.column])) for e in own}
+    likely = sorted(own, key=lambda e: (e.unit != "deg", -travel[e.channel]))
+    unit = (stated or likely)[0].unit
     return [
         e._replace(unit=unit) if e in own and not log.roles[e.column].unit else e for e in entries
     ]

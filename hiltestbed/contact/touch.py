@@ -205,8 +205,8 @@ class _Parts:
         from mujoco.batch import Batch
 
         from hiltestbed.contact.engagement import Engagement
+        from hiltestbed.platform.build import structure
         from hiltestbed.platform.model import ideal_model
-        from hiltestbed.platform.plant import structure
 
         self._made_of = replace(structure(scenario), mounted=False, constant=False)
         model = ideal_model(self._made_of, scenario.tick)

@@ -129,7 +129,7 @@ def _order(run: int, group: str, q: Array, expected: Array) -> Iterator[Remark]:
             f"starts {given:.0f} deg from the scenario's attitude; the platform rotates "
             f"by 10 deg at most"
         )
-        fix = "check frames and columns, or set approach.attitude_deg"
+        fix = "check frames, columns and the unit of angles, or set approach.attitude_deg"
         yield error("attitude", run, name, text, fix)
     elif given > 1.0 and conjugate < 0.2 * given:
         text = (

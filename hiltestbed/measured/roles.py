@@ -168,10 +168,12 @@ def time_unit(t: Array) -> tuple[str, str]:
     return "s", f"its steps of {step:.4g} fit none"
 
 
-def angle_unit(values: Array) -> tuple[str, str]:
-    """The unit of angles that state none, and why: three turns in rad are taken for degrees."""
+def angle_unit(values: Array, most: float = 6.0 * np.pi) -> tuple[str, str]:
+    """The unit of angles that state none, and why: from ``most`` on, three turns in rad, they are
+    taken for degrees.
+    """
     largest = float(np.nanmax(np.abs(values)))
-    unit = "rad" if largest < 6.0 * np.pi else "deg"
+    unit = "rad" if largest < most else "deg"
     return unit, f"by its size, up to {largest:.3g}"
 
 

@@ -5,18 +5,21 @@ module that knows both.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from hiltestbed.config.validation import Problem
+from hiltestbed.contact.composition import Structure, structure_of
+from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.contact.sides import sides_of
+from hiltestbed.effects.table import by_link
 from hiltestbed.errors import InputError
-from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose
 from hiltestbed.platform.facilities.air_bearing import AirBearing
 from hiltestbed.platform.facilities.bodies import Article, PhysicalFacility
+from hiltestbed.platform.facilities.composed import TOOL, facility_model
+from hiltestbed.platform.facilities.demand import Demand, demand
 from hiltestbed.platform.facilities.facility import Facility
 from hiltestbed.platform.facilities.mjcf import MjcfFacility
 from hiltestbed.platform.facilities.serial_arm import SerialArm
@@ -97,14 +100,31 @@ def alike(scenario: Scenario) -> Hashable:
     return facility.alike()
 
 
-def force_shares(scenario: Scenario) -> Array:
-    """``(J, 6)`` share of the drives' forces that an acceleration of the active side takes
-    [s^2/m, s^2/rad]; none without simulated drives.
+def structure(scenario: Scenario) -> Structure:
+    """The structure of a scenario's rig."""
+    mechanism, effects = scenario.mechanism, by_link(scenario.effects, "contact")
+    rubs = any(
+        ContactParameters.believed(c).with_effects(effects).friction > 0.0
+        for c in mechanism.contacts()
+    )
+    return structure_of(mechanism, bool(effects), rubs)
+
+
+def demand_of(scenario: Scenario) -> Demand | None:
+    """What accelerations and contact take of the drives, both sides mounted; None without simulated
+    drives.
     """
     platform = scenario.rig.platform
     if platform.prescribed or platform.physical:
-        return np.zeros((0, 6))
-    return built(platform).force_shares
+        return None
+    return _demand(built(platform), structure(scenario), scenario.tick / scenario.substeps)
+
+
+@lru_cache(maxsize=32)
+def _demand(facility: Facility, made_of: Structure, timestep: float) -> Demand:
+    still = replace(made_of, constant=True, latched=False, touches=False, held=True)
+    model = facility_model(facility, still, timestep)
+    return demand(model, facility.kinematics(model, TOOL))
 
 
 def nearest_bandwidth(scenario: Scenario) -> float:

@@ -12,15 +12,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.contact.composition import Structure, structure_of
 from hiltestbed.contact.engagement import Engagement
 from hiltestbed.contact.jacobian import held_pair
-from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.contact.phases import LatchCondition, Phases
-from hiltestbed.effects.table import by_link
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.platform import build
+from hiltestbed.platform.build import structure
 from hiltestbed.platform.driven import ServoTracking
 from hiltestbed.platform.ideal import IdealTracking
 from hiltestbed.platform.prs3.nine_axes import NineAxes
@@ -28,16 +26,6 @@ from hiltestbed.platform.prs3.nine_axes import NineAxes
 if TYPE_CHECKING:
     from hiltestbed.contact.contacts import AppliedForce
     from hiltestbed.scenario.like import ScenarioLike as Scenario
-
-
-def structure(scenario: Scenario) -> Structure:
-    """The structure of a scenario's rig."""
-    mechanism, effects = scenario.mechanism, by_link(scenario.effects, "contact")
-    rubs = any(
-        ContactParameters.believed(c).with_effects(effects).friction > 0.0
-        for c in mechanism.contacts()
-    )
-    return structure_of(mechanism, bool(effects), rubs)
 
 
 def alike(scenario: Scenario) -> Hashable:

@@ -5,6 +5,8 @@ each.
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +14,12 @@ import pytest
 
 import hiltestbed
 from hiltestbed import load_scenario, read_run
+from hiltestbed.analysis.limits import drives_in_contact
 from hiltestbed.campaign.sweep import sweep
+from hiltestbed.config.check import look_at
 from hiltestbed.errors import InputError
 from hiltestbed.loop import Loop
-from hiltestbed.platform.build import force_shares
+from hiltestbed.platform.build import demand_of
 from hiltestbed.run_folder.store import write_run
 from hiltestbed.scenario import Scenario, dump_scenario
 from hiltestbed.signals import Trace
@@ -170,15 +174,49 @@ def test_a_rig_of_the_users_own_docks() -> None:
     assert done["tracking_error"] < 2e-3
 
 
-def test_an_acceleration_takes_of_a_drive_the_mass_above_it_over_the_force_beyond_the_weight() -> (
-    None
-):
-    shares = force_shares(bounce("mjcf"))
-    above = np.array([645.0, 385.0, 205.0])  # [kg] moved by x, y and z
-    left = 3.0e4 - np.array([0.0, 0.0, 205.0 * 9.81])  # [N]
-    np.testing.assert_allclose(np.diag(shares)[:3], above / left, rtol=1e-6)
-    np.testing.assert_allclose(shares[:3, :3], np.diag(above / left), atol=1e-9)
-    assert force_shares(bounce("mjcf", tracking="ideal")).shape == (0, 6)
+def test_a_drive_moves_the_masses_above_it_and_carries_the_contact() -> None:
+    drives = demand_of(bounce("mjcf"))
+    assert drives is not None
+    above = np.array([645.0, 385.0, 205.0]) + 200.0  # [kg] moved by x, y and z; the bumper's
+    weight = np.array([0.0, 0.0, 405.0 * 9.81])  # [N]
+    np.testing.assert_allclose(drives.weight[:3], weight, atol=1e-6)
+    np.testing.assert_allclose(drives.inertia[:3, :3], np.diag(above), atol=1e-6)
+    np.testing.assert_allclose(drives.load[:3, :3], -np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(np.diag(drives.shares)[:3], above / (3.0e4 - weight), rtol=1e-6)
+    assert demand_of(bounce("mjcf", tracking="ideal")) is None
+
+
+@pytest.mark.parametrize("kind", ["pss33", "serial_arm", "two_arms"])
+def test_the_forces_of_drives_in_a_contact_are_foreseen(kind: str) -> None:
+    """Against the drives' forces in MuJoCo at the peak of a bounce, to 2 % of the largest."""
+    soft = {"mechanism.contact": {"stiffness": 2.0e4, "damping": 100.0}}
+    scenario = bounce(kind, soft | {"approach.velocity": [0.0, 0.0, 0.2]})
+    drives, loop = demand_of(scenario), Loop([scenario])
+    assert drives is not None
+    tracking: Any = loop.plant._tracking
+    columns = [tracking.model.joint(axis.joint).dofadr[0] for axis in drives.axes]
+    peak, found = 0.0, np.zeros(len(columns))
+    for _ in range(int(scenario.duration * scenario.rate)):
+        loop.step()
+        if loop.plant.wrench_sub[0, -1, 2] > peak:
+            peak, found = loop.plant.wrench_sub[0, -1, 2], tracking._forces[0, columns]
+    foreseen = drives.weight + drives_in_contact(scenario, drives, peak)
+    np.testing.assert_allclose(found, foreseen, atol=0.02 * np.abs(found).max())
+    assert np.abs(found - drives.weight).max() > 0.04 * np.abs(found).max()
+
+
+def test_a_check_says_which_contact_a_drive_cannot_exert(tmp_path: Path) -> None:
+    """The speed that it advises is the one from which it complains."""
+    hard = {"mechanism.contact.stiffness": 3.0e6, "approach.velocity": [0.0, 0.0, 2.0]}
+    file = tmp_path / "hard.yaml"
+    file.write_text(dump_scenario(bounce("serial_arm", hard)))
+    said = [text for text in look_at(file).remarks if "of the drive of joint" in text]
+    found = re.search(r"joint a.*its limit is .* N m; approach at less than (\S+) m/s", *said)
+    assert found is not None
+    for share, count in ((0.99, 0), (1.01, 1)):
+        speed = {"approach.velocity.2": share * float(found[1])}
+        remarks = look_at(file, speed).remarks
+        assert sum("of the drive of joint" in text for text in remarks) == count
 
 
 def test_a_correction_asks_no_more_of_an_arm_than_its_drives_can_give() -> None:

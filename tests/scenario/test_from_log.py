@@ -218,6 +218,20 @@ def test_a_rig_is_read_as_it_was_written_with_a_scenario_beside_it() -> None:
     assert approach.velocity[2] == pytest.approx(bounce.SPEED, rel=1e-3)
 
 
+@pytest.mark.parametrize(("angles", "unit"), [([3.0, -2.0, 0.1], "deg"), ([0.2, 0.1, 0.0], "rad")])
+def test_an_attitude_in_degrees_is_not_one_of_ports_that_look_past_each_other(
+    angles: list[float], unit: str
+) -> None:
+    """3 rad would be; all three angles have one unit."""
+    t = np.arange(400) / 1000.0
+    names = ("roll", "pitch", "yaw")  # the last one turns most
+    turns = {f"pose_act_{n}": angles[k] + 0.1 * (k + 1) * t for k, n in enumerate(names)}
+    place = {"pose_act.pz": -0.01 + 0.03 * t, "wrench_meas.fz": np.maximum(t - 0.3, 0.0)}
+    assert write_from_log("rig", log(t=t, **turns, **place)).kind == "dataset"
+    text = Path("rig.yaml").read_text()
+    assert text.count(f"unit: {unit}}}") == 3
+
+
 def test_three_logs_of_a_rig_with_one_axis_and_a_force_that_shows_the_reaction() -> None:
     """One run a log, each with the speed and the gap that it shows; a push is made positive."""
     from hiltestbed.config.dataset import load_dataset

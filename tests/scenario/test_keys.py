@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from hiltestbed.config.check import json_schema
+from hiltestbed.config.check import KINDS, json_schema
 from hiltestbed.config.keys import Key, at, keys_of, search, text_of
 from hiltestbed.effects import EFFECTS
 from hiltestbed.errors import InputError
@@ -67,11 +67,28 @@ def test_an_unknown_key_is_refused_with_the_nearest() -> None:
         at(KEYS, "sensr.delay")
 
 
-def test_a_key_that_kinds_share_in_the_same_words_is_said_once() -> None:
-    def key(kind: str, meaning: str) -> Key:
-        return Key("rig.speed", ("rig", kind), "number", "1", meaning)
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_key_is_written_once(kind: Any) -> None:
+    """Whatever the number of sections, kinds and meanings that it has."""
+    keys = list(keys_of(json_schema(kind)))
+    lines = [line for line in text_of(keys).splitlines() if not line.startswith(" ")]
+    heads = [line.split(" ")[0].rstrip(":") for line in lines]
+    assert heads == list(dict.fromkeys(key.path for key in keys))
 
-    text = text_of([key("arm", "Speed"), key("gantry", "Speed"), key("bearing", "Of the air")])
-    assert text.count("Speed") == 1
-    assert "rig.speed (kind: rig, kind: arm, gantry): number" in text
-    assert "rig.speed (kind: rig, kind: bearing): number" in text
+
+def test_a_key_names_the_kinds_that_have_it_and_what_differs_between_them() -> None:
+    def key(kind: str, default: str, meaning: str) -> Key:
+        return Key("rig.speed", ("rig", kind), "number", default, meaning)
+
+    shared = [key("arm", "1", "Speed"), key("gantry", "1", "Speed")]
+    assert text_of(shared) == "rig.speed (kind: rig/arm, rig/gantry): number; default 1\n    Speed"
+    assert text_of([*shared, key("bearing", "2", "Of the air")]).splitlines() == [
+        "rig.speed",
+        "    rig/arm, rig/gantry (number; default 1): Speed",
+        "    rig/bearing (number; default 2): Of the air",
+    ]
+    assert text_of([*shared, key("bearing", "1", "Of the air")]).splitlines() == [
+        "rig.speed: number; default 1",
+        "    rig/arm, rig/gantry: Speed",
+        "    rig/bearing: Of the air",
+    ]

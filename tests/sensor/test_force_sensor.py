@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from hiltestbed.platform.build import facility_of
+from hiltestbed.platform.build import facility_of, structure
 from hiltestbed.platform.facilities.composed import facility_spec
-from hiltestbed.platform.plant import Plant, structure
+from hiltestbed.platform.plant import Plant
 from tests.platform.rigs import pose, scenario
 
 GRAVITY = 9.81

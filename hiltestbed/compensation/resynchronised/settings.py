@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
 from hiltestbed.compensation.settings import ForceMethod, Input, force_of
@@ -65,11 +66,12 @@ class Resynchronised(ForceMethod):
             PredictionParameters,
             ResynchronisedDrive,
         )
-        from hiltestbed.platform.build import force_shares
+        from hiltestbed.platform.build import demand_of
 
         given = []
         for force, scenario in zip(force_of(scenarios, cls), scenarios, strict=True):
-            c, shares = force.contact, force_shares(scenario)
+            c, drives = force.contact, demand_of(scenario)
+            shares = np.zeros((0, 6)) if drives is None else drives.shares
             known = None if c is None else (c.stiffness, c.damping, c.touch)
             estimate = force.delay == "estimate"
             given.append(PredictionParameters(force.blending, estimate, known, shares))

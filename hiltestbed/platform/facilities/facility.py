@@ -20,7 +20,6 @@ import numpy as np
 from hiltestbed.config.models import load
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.demand import force_shares
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.mover import Mover, Runs
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
@@ -91,12 +90,10 @@ class Facility(ABC):
         """Geometry of the facility without a mechanism, for checks before a run."""
         return self.kinematics(self._bare_model)
 
-    @cached_property
-    def force_shares(self) -> Array:
-        """``(J, 6)`` share of the drives' forces that an acceleration of the mount takes, see
-        :func:`hiltestbed.platform.facilities.demand.force_shares`.
-        """
-        return force_shares(self._bare_model, self.bare)
+    @property
+    def tool_shares(self) -> tuple[float, ...]:
+        """Share of the relative motion near the touch that each tool of the kinematics performs."""
+        return (1.0,)
 
     def complaints(self, pose: Array, tool: Array = TOOL_HOME) -> list[str]:
         """Why the facility cannot bring A to ``pose`` (7,) in P; ``tool`` (7,) is the pose of A in

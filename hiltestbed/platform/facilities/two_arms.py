@@ -137,6 +137,10 @@ class TwoArms(Facility):
     def axes(self) -> tuple[Axis, ...]:
         return (*arm_axes(ACTIVE), *arm_axes(PASSIVE), RAIL)
 
+    @property
+    def tool_shares(self) -> tuple[float, ...]:
+        return 1.0 - self.settings.passive_share, self.settings.passive_share
+
     def spec(self) -> mujoco.MjSpec:
         spec = load("two_arms/two_arms")
         for prefix, stand, turn in (
