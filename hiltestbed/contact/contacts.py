@@ -77,7 +77,7 @@ class Contacts:
         site = model.site(ACTIVE + "A")
         self._active = int(model.site_bodyid[site.id])
         self._arm = np.zeros(3)
-        rotate_back(site.quat[[1, 2, 3, 0]], model.body_ipos[self._active] - site.pos, self._arm)
+        rotate_back.py_func(site.quat[[1, 2, 3, 0]], model.body_ipos[self._active] - site.pos, self._arm)
         self._centre, self._load = np.zeros((n, 3)), np.zeros((n, 6))
         itself = engagement is None and force is None
         self.looking: list[Callable[[], None]] = (

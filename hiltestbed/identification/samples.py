@@ -157,7 +157,8 @@ class ContactSamples:
             # the pose does not show moving parts of a side
             sides.rigid and len(sides.facets) > 0,
         )
-        self._known = given.known
+        # on a plane nothing is estimated along the normal
+        self._known = given.known and not given.flat[0]
         self._clock = np.zeros(1, dtype=np.int64)  # ticks seen
         self._past = past = _Past(
             np.zeros((n, length, 7)),

@@ -16,7 +16,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import bound
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array, pose_step, rotate_back, twist_between
@@ -38,12 +38,6 @@ if TYPE_CHECKING:
 def _slope(pose_before, pose_now, h, twist):
     for i in range(pose_now.shape[0]):
         twist_between(pose_before[i], pose_now[i], h, twist[i])
-
-
-@njit(cache=True)
-def _back(pose, twist, h, out):
-    for i in range(pose.shape[0]):
-        pose_step(pose[i], twist[i], -h, out[i])
 
 
 class PlacedBody(NamedTuple):
@@ -171,7 +165,8 @@ class IdealTracking:
         self.batch.reset(stage=0)
         self._ticks[0], self._way = 0, None
         self.pose_act[:], self.twist_act[:] = pose, twist
-        _back(self.pose_act, self.twist_act, self.tick, self._before)
+        for before, at, rate in zip(self._before, pose, twist, strict=True):
+            interpreted(pose_step)(at, rate, -self.tick, before)
         self.contacts.reset()
         self._along[:, :] = self.pose_act[:, None, :3]
         if self.response is not None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -60,8 +61,7 @@ class Kinematics:
     Attributes:
         home: (nq,) joint positions. axes: the driven joints. q, v: (J,) their addresses.
             joints_home: (J,) at home.
-        tools: names of the sites whose poses are commanded. home_poses: (nt, 7) of the tools in W
-            at home.
+        tools: names of the sites whose poses are commanded.
     """
 
     def __init__(
@@ -93,7 +93,11 @@ class Kinematics:
         )
         self._travel = list(_travels(model, axes, locked))
         self._names = [name or f"joint {j}" for j, name in enumerate(every)]
-        self.home_poses = self.poses(self.home)
+
+    @cached_property
+    def home_poses(self) -> Array:
+        """(nt, 7) poses of the tools in W at home."""
+        return self.poses(self.home)
 
     @property
     def held_home(self) -> Array:
