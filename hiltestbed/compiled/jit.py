@@ -89,10 +89,10 @@ def _readable(load_index: Callable[[], dict]) -> Callable[[], dict]:
 
 @cache
 def interpreted(kernel: Any) -> FunctionType:
-    """A kernel as plain Python, with those that it calls: for a few calls before a run, which take
-    less time than compiling. The results are the same to the last bit.
+    """A kernel, or a function, as plain Python, with the kernels that it calls: for a few calls
+    before a run, which take less time than compiling. The results are the same to the last bit.
     """
-    function = kernel.py_func
+    function = getattr(kernel, "py_func", kernel)
     space = dict(function.__globals__)
     for name in function.__code__.co_names:
         if isinstance(space.get(name), Dispatcher):

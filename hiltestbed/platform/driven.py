@@ -13,7 +13,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import GIVEN, Call, together
+from hiltestbed.compiled.bound import GIVEN, Call, bound
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array
@@ -103,15 +103,11 @@ class ServoTracking:
             Call(read_wrench, self._reading, self._tare, GIVEN, self.wrench_sub, ...)
             for _ in range(2)
         )
-        self._read_history = Call(read_history, self._history, self._tare, self.wrench_sub)
-        self._seen = mover.observing(self._qpos, self._qvel, SPEED_LIMIT, self.diverged)
-        self._seen_and_looked = together(self._seen, *self.contacts.looking, telling=0)
+        self._read_history = bound(read_history, self._history, self._tare, self.wrench_sub)
         # pose and twist of A in W, and those of P if it moves
         self._sides = (self.pose_act, self.twist_act)
         if self.moves_passive:
             self._sides = (mover.place_A, mover.motion_A, mover.place_P, mover.motion_P)
-        met = self.contacts.meeting(*self._sides) if self.contacts.written else []
-        self._seen_and_met = together(self._seen, *met, telling=0) if met else self._meet
 
     def _rest_readings(self) -> Array:
         """``(n, 6)`` the sensor's reading at rest; zero if the sensor moves, whose load is then
@@ -134,11 +130,11 @@ class ServoTracking:
         self.mover.settle(pose, twist, self._qpos, self._qvel)
         self._ticks[0] = 0
         self.contacts.reset()
-        self._seen()
+        self._see()
         if self.contacts.written:
             if self.contacts.stage != NONE:
                 self.batch.forward(self._going, stage=self.contacts.stage)
-            self._seen_and_met()
+            self._meet()
         self.batch.forward()
         self.wrench_sub[:] = 0.0
         self._read(self._all, self.substeps - 1)
@@ -162,14 +158,14 @@ class ServoTracking:
         forward evaluation gives that of the last instant.
         """
         if self._stepwise:
-            self._lost |= self._seen_and_met()
+            self._lost |= self._meet()
         for s in range(1, self.substeps):
             self._step(s)
             if self._stepwise:
                 self._read(self._all, s - 1)
-                self._lost |= self._seen_and_met()
+                self._lost |= self._meet()
         if not self._stepwise:
-            self._read_history.on()()
+            self._read_history()
         if self._prompt.size:
             if self._stepwise:
                 self.batch.forward(self._groups[0][0])
@@ -208,19 +204,20 @@ class ServoTracking:
         else:
             (self._read_late if sub == self.substeps - 1 else self._read_between).on(runs)(sub)
 
+    def _see(self) -> bool:
+        """Read the state; returns whether a run has just diverged."""
+        return self.mover.observe(self._qpos, self._qvel, SPEED_LIMIT, self.diverged)
+
     def _meet(self) -> bool:
-        """Read the state, and evaluate the contact where not all of it is compiled."""
-        lost = self._seen()
+        """The same, and evaluate the contact."""
+        lost = self._see()
         if self.contacts.written:
             self.contacts.meet(*self._sides)
         return lost
 
     def _observe(self) -> None:
-        if self._stepwise:
-            lost = self._lost
-            self.contacts.look()
-        else:
-            lost = self._seen_and_looked()
+        lost = self._lost if self._stepwise else self._see()
+        self.contacts.look()
         if lost:
             self._lost = False
             self._leave_out()

@@ -23,7 +23,6 @@ s'/2 - b. The bias loop keeps b constant, so that by virtual work the friction o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,7 +113,7 @@ class DriveFriction:
         self.numbers = np.concatenate([law, bristle[..., None], damper[..., None]], axis=2)
         self._axes, self._dt = np.asarray(axes), dt
         self.bristles = np.zeros((*law.shape[:2], 2))
-        self._act = Call(
+        self._acted = Call(
             _act, self.numbers, dt, self._axes, np.asarray(inputs), GIVEN, self.bristles, GIVEN
         )
 
@@ -122,6 +121,6 @@ class DriveFriction:
         """Start in the steady state at the speeds ``qvel`` (n, nv)."""
         _settle(self.numbers, self._axes, qvel, self.bristles)
 
-    def acting(self, qvel: Array, ctrl: Array) -> Callable[[], None]:
-        """Call that subtracts a step's friction from the inputs ``ctrl`` (n, nu)."""
-        return self._act.on(qvel, ctrl)
+    def act(self, qvel: Array, ctrl: Array) -> None:
+        """Subtract a step's friction from the inputs ``ctrl`` (n, nu)."""
+        self._acted.on(qvel, ctrl)()

@@ -92,12 +92,8 @@ class ReconstructionBlock:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
         self._lead = PhaseLeadBlock(scenarios)
-        latches = (
-            scenarios[0].mechanism.captured
-            or scenarios[0].mechanism.latch is not None
-            or bool(scenarios[0].mechanism.phases())
-        )
-        self._captured = CapturedContact(scenarios) if latches else None
+        captures = scenarios[0].mechanism.captures
+        self._captured = CapturedContact(scenarios) if captures else None
         self._ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
         self._states = History(12, self._ticks)
         self._state, self._late = np.zeros((n, 12)), np.zeros((n, 12))

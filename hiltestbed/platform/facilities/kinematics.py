@@ -16,6 +16,7 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
+from hiltestbed.compiled.jit import interpreted
 from hiltestbed.frames import Array, pose_step, twist_between
 from hiltestbed.platform.facilities.motion import move, place, scratch, tool_pose, tool_twist
 from hiltestbed.platform.facilities.newton import CLOSE, ITERATIONS, equations, newton, rates
@@ -137,7 +138,7 @@ class Kinematics:
         begin, begin_values = self.poses(q), q[self._held]
         twists = np.empty((len(goal), 6))
         for t in range(len(goal)):
-            twist_between(begin[t], goal[t], 1.0, twists[t])
+            interpreted(twist_between)(begin[t], goal[t], 1.0, twists[t])
         span = max(
             float(np.abs(twists).max(initial=0.0)),
             float(np.abs(values - begin_values).max(initial=0.0)),
@@ -146,7 +147,7 @@ class Kinematics:
         at = np.empty_like(goal)
         for s in range(1, steps + 1):
             for t in range(len(goal)):
-                pose_step(begin[t], twists[t], s / steps, at[t])
+                interpreted(pose_step)(begin[t], twists[t], s / steps, at[t])
             if s == steps:
                 at[:] = goal
             before = q.copy()
