@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.contact.composition import ACTIVE, Structure, set_linear
 from hiltestbed.contact.engagement import Engagement
 from hiltestbed.contact.mount import Mounts
@@ -100,7 +100,8 @@ class Contacts:
         """Balance the weight on the mount with nothing latched; undone by :meth:`reset`."""
         if self._engagement is not None:
             self._engagement.latches.open(captured=False)
-        load_body(1.0, self.mount.balance, self.mount.body, self.mount.centre, self._applied)
+        balance = self.mount.balance
+        interpreted(load_body)(1.0, balance, self.mount.body, self.mount.centre, self._applied)
 
     def meet(
         self, pose: Array, twist: Array, place: Array | None = None, motion: Array | None = None
@@ -121,7 +122,8 @@ class Contacts:
         elif self._force is not None:
             self._pull[:] = self._force.next()
             if place is not None:
-                _into_world(place, self._pull)
+                for at, wrench in zip(place, self._pull, strict=True):
+                    to_frame(at, wrench.copy(), wrench)
         if self._pulls:
             _centres(pose, self._arm, self._centre)
             load_body(-1.0, self._pull, self._active, self._centre, self._applied)
@@ -133,15 +135,6 @@ class Contacts:
         """Set ``touching`` where MuJoCo computes the contacts alone."""
         if self._alone:
             np.greater(self._ncon, 0, out=self.touching)
-
-
-@njit(cache=True)
-def _into_world(place, wrench):
-    """Transform wrenches (n, 6) from P at P's origin to W at W's; P at ``place`` (n, 7)."""
-    local = np.empty(6)
-    for i in range(wrench.shape[0]):
-        local[:] = wrench[i]
-        to_frame(place[i], local, wrench[i])
 
 
 @njit(cache=True)

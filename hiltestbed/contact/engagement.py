@@ -26,7 +26,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import GIVEN, Call, bound
+from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import (
     ACTIVE,
@@ -230,7 +230,6 @@ class _Bodies:
             carry[i, S, 3:7] = q
         self.bodies = CarriedFrames(np.zeros((n, count, 7)), np.zeros((n, count, 6)), carry)
         ids = np.array([m.body(PREFIXES[side] + body).id for side, body in names], dtype=np.int64)
-        self._standing = Call(_stand, *(GIVEN,) * 4, self.bodies.frames, self.bodies.motions)
         self._parts: Callable[[], None] | None = None
         if names:
             roots = m.body_rootid[ids].astype(np.int64)
@@ -240,7 +239,9 @@ class _Bodies:
 
     def stand(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
         """Update the frames: A and S from these, those of moving parts from MuJoCo."""
-        self._standing.on(pose, twist, place, motion)()
+        frames, motions = self.bodies.frames, self.bodies.motions
+        frames[:, A], frames[:, S] = pose, place
+        motions[:, A], motions[:, S] = twist, motion
         if self._parts is not None:
             self._parts()
 
@@ -281,16 +282,6 @@ class _Pairs:
         reading = batch.bind("sensordata")
         first = int(m.sensor("native_0").adr[0]) if sides.native else 0
         self.reading = reading[:, first : first + READ * len(sides.native)]
-
-
-@njit(cache=True)
-def _stand(pose, twist, place, motion, frames, motions):
-    """Set poses and twists of A and S."""
-    for i in range(pose.shape[0]):
-        for j in range(7):
-            frames[i, A, j], frames[i, S, j] = pose[i, j], place[i, j]
-        for j in range(6):
-            motions[i, A, j], motions[i, S, j] = twist[i, j], motion[i, j]
 
 
 @njit(cache=True)

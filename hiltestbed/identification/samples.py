@@ -182,9 +182,9 @@ class ContactSamples:
         self.sample = self.whole[:, :NORMAL]
         self.at_once = np.zeros(n, dtype=np.int64)
         self._met = Call(_meet, ..., sides.geometry, GIVEN, GIVEN, past, self.at_once)
-        onset = (estimate, longest, self.delay, self._onset)
+        onset = (longest, self._onset) if estimate else None
         latches = held.latches if self.captures else None
-        parts = (given, past, latches, held.now, onset, self.found)
+        parts = (given, past, self.delay, latches, held.now, onset, self.found)
         self._taken = Call(_take, ..., (GIVEN,) * 6, *parts)
 
     def take(self, wrench: Array, pose: Array, twist: Array, led: Array | None = None) -> None:
@@ -265,18 +265,17 @@ def _meet(k, geometry, pose, twist, past, at_once):
 
 
 @njit(cache=True)
-def _take(k, rig, given, past, latches, held, onset, found):
+def _take(k, rig, given, past, delay, latches, held, onset, found):
     """Store the current sample in ``pending``, and select the pending sample to be used.
-    ``latches``: None without any.
+    ``latches``: None without any. ``onset``: None for a delay that is known.
     """
     wrench, force, pose, twist, captured, steps = rig
-    estimate, longest, delay, first = onset
     if latches is not None:
         update_held(pose, captured, steps, latches, held)
     _remember(k, pose, twist, held.lever, held.reference, past)
     _gate(wrench, captured, delay, given, past)
-    if estimate:
-        _find_delay(k, given.tick, longest, wrench, past, delay, first)
+    if onset is not None:
+        _find_delay(k, given.tick, onset, wrench, past, delay)
     _sample(k, force, captured, delay, given, past, held.origin, found.place)
     _choose(k, delay, given, past, held.changes, held.since, found)
 
@@ -361,19 +360,20 @@ def _gate(wrench, captured, delay, given, past):
 
 
 @njit(cache=True)
-def _find_delay(k, h, longest, wrench, past, delay, onset):
+def _find_delay(k, h, onset, wrench, past, delay):
     """At a run's first contact sample: delay as the time since the nominal touch was crossed."""
+    longest, first = onset
     x, v, gated = past.x, past.v, past.gated
     length = x.shape[1]
     for i in range(wrench.shape[0]):
-        if gated[i] != 1 or not np.isnan(onset[i, 0]):
+        if gated[i] != 1 or not np.isnan(first[i, 0]):
             continue
         for back in range(length - 1):  # the tick within which the pose crossed the touch point
             late, early = x[i, (k - back) % length, 2], x[i, (k - back - 1) % length, 2]
             if early < 0.0 <= late:
                 crossed = back + late / (late - early)
                 delay[i] = min(max((crossed - 0.5) * h, 0.0), longest)
-                onset[i, 0] = wrench[i, 2]
-                onset[i, 1] = v[i, (k - back) % length, 2]
-                onset[i, 2] = delay[i]
+                first[i, 0] = wrench[i, 2]
+                first[i, 1] = v[i, (k - back) % length, 2]
+                first[i, 2] = delay[i]
                 break

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.frames import Array
 
 STEPS = 0.25  # fraction of m/dt^2: the stiffest bristle that a physics step can resolve
@@ -71,7 +71,6 @@ def _act(numbers, dt, axes, inputs, qvel, bristles, ctrl):
             ctrl[i, inputs[j]] -= force
 
 
-@njit(cache=True)
 def _settle(numbers, axes, qvel, bristles):
     """Set the bristles to their steady state at the speeds ``qvel``; at rest they are unloaded."""
     for i in range(qvel.shape[0]):
@@ -119,7 +118,7 @@ class DriveFriction:
 
     def settle(self, qvel: Array) -> None:
         """Start in the steady state at the speeds ``qvel`` (n, nv)."""
-        _settle(self.numbers, self._axes, qvel, self.bristles)
+        interpreted(_settle)(self.numbers, self._axes, qvel, self.bristles)
 
     def act(self, qvel: Array, ctrl: Array) -> None:
         """Subtract a step's friction from the inputs ``ctrl`` (n, nu)."""
