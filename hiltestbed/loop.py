@@ -9,6 +9,7 @@ of the signal flow, on arrays whose leading axis is the run in the batch.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from operator import is_
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,7 +22,7 @@ from hiltestbed.compensation.input import InputDeadZone
 from hiltestbed.compensation.interfaces import Drive
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.motion import MotionCommand
-from hiltestbed.compiled.bound import bound, together
+from hiltestbed.compiled.bound import GIVEN, Call, bound
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.phases import Phases
 from hiltestbed.frames import Array
@@ -131,8 +132,9 @@ class Loop:
         self.trouble: dict[int, tuple[int, str, str]] = {}
         self._pose_before = self.drive.pose.copy()
         self._wrench = self.plant.wrench_sub[:, -1]
-        # the trace and the drive's arrays to which _keep is bound
-        self._keeping: tuple[Any, ...] = (None,) * 4
+        self._lost = Call(_lost, GIVEN, POSE_LIMIT, self.alive, self.plant.diverged)
+        # the trace and the drive's arrays to which the call that writes a row is bound
+        self._row: tuple[Callable[[int], None], tuple[Any, ...]] | None = None
         self.plant.reset(self.drive.pose, self.drive.twist)
         self.motion.start(self.drive.twist)
         self.tally.start(self.drive.twist)
@@ -164,34 +166,25 @@ class Loop:
             self.motion.update(drive.pose, drive.twist, self.measurement)
         plant.begin(self.motion.pose, self.motion.twist, self.motion.acceleration)
         self.sensor.feel(k, self._wrench)
-        lost = self._kept(trace)(k)
+        rig = (self._wrench, plant.pose_act, plant.twist_act, plant.contact)
+        self.tally.take(k, rig, self._pose_before, (drive.wrench, drive.twist))
+        model = (self._wrench, drive.pose, drive.twist)
+        self.outcomes.take(k, model, plant.contact, plant.captured, plant.phases)
+        if trace is not None:
+            self._written(trace)(k)
+        lost = self._lost.on(drive.pose)()
         passed = self.safety.passed(plant, self._pose_before, self.tally.energy)
         if passed or lost or self.model.ended:
             self._end_runs()
         plant.finish()
         self.k = k + 1
 
-    def _kept(self, trace: Trace | None) -> Callable[[int], bool]:
-        """The call that updates figures, contacts and row; returns whether a run is lost."""
-        drive, (traced, pose, twist, wrench) = self.drive, self._keeping
-        if (
-            trace is not traced
-            or drive.pose is not pose
-            or drive.twist is not twist
-            or drive.wrench is not wrench
-        ):
-            plant, wrench = self.plant, self._wrench
-            rig = (wrench, plant.pose_act, plant.twist_act, plant.contact)
-            figures = self.tally.taking(rig, self._pose_before, (drive.wrench, drive.twist))
-            model = (wrench, drive.pose, drive.twist)
-            contacts = self.outcomes.taking(model, plant.contact, plant.captured, plant.phases)
-            row = () if trace is None else (self.row_of(trace),)
-            lost = bound(_lost, drive.pose, POSE_LIMIT, self.alive, plant.diverged)
-            self._keep, self._keeping = (
-                together(figures, contacts, *row, lost),
-                (trace, drive.pose, drive.twist, drive.wrench),
-            )
-        return self._keep
+    def _written(self, trace: Trace) -> Callable[[int], None]:
+        drive = self.drive
+        arrays = (trace, drive.pose, drive.twist, drive.wrench)
+        if self._row is None or not all(map(is_, arrays, self._row[1])):
+            self._row = self.row_of(trace), arrays
+        return self._row[0]
 
     def row_of(self, trace: Trace) -> Callable[[int], None]:
         """The call that writes row k: the readings at t_k and the commands from them."""
@@ -211,10 +204,8 @@ class Loop:
             "stiffness_est": known.stiffness,
             "damping_est": known.damping,
         }
-        return together(
-            *(bound(_write, ..., values, trace.data[name]) for name, values in now.items()),
-            bound(_write_flags, ..., plant.contact, trace.contact),
-        )
+        rows = [trace.data[name] for name in now]
+        return bound(_write, ..., list(now.values()), rows, plant.contact, trace.contact)
 
     @property
     def blocks(self) -> dict[str, Any]:
@@ -243,22 +234,17 @@ class Loop:
 
 
 @njit(cache=True)
-def _write(k, now, rows):
-    """Copies ``now`` (n, parts) to row ``k`` of ``rows``, modulo their number: in loops, since the
-    general assignment of slices takes seconds to compile.
+def _write(k, now, rows, contact, contacts):
+    """Copy each of ``now`` (n, parts) to row ``k`` of its ``rows``, modulo their number, and the
+    flags ``contact`` (n,): in loops, since the general assignment of slices takes seconds to
+    compile.
     """
-    k = k % rows.shape[0]
-    for i in range(now.shape[0]):
-        for j in range(now.shape[1]):
-            rows[k, i, j] = now[i, j]
-
-
-@njit(cache=True)
-def _write_flags(k, now, rows):
-    """Copies the flags ``now`` (n,) to row ``k`` of ``rows``, modulo their number."""
-    k = k % rows.shape[0]
-    for i in range(now.shape[0]):
-        rows[k, i] = now[i]
+    k = k % contacts.shape[0]
+    for i in range(contact.shape[0]):
+        contacts[k, i] = contact[i]
+        for m in range(len(now)):
+            for j in range(now[m].shape[1]):
+                rows[m][k, i, j] = now[m][i, j]
 
 
 @njit(cache=True)

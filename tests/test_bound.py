@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numba import njit, typeof
 
-from hiltestbed.compiled.bound import GIVEN, Bound, Call, Joined, bound, together
+from hiltestbed.compiled.bound import GIVEN, Bound, Call, bound
 from hiltestbed.compiled.jit import _by_fields
 from hiltestbed.compiled.state import arrays_of
 
@@ -34,13 +34,10 @@ def _add(amount, total):
 
 
 @njit(cache=True)
-def _double(total):
-    total[0] *= 2.0
-
-
-@njit(cache=True)
-def _large(total):
-    return total[0] > 5.0
+def _add_each(now, totals):
+    for m in range(len(now)):
+        for i in range(now[m].shape[0]):
+            totals[m][i] += now[m][i]
 
 
 def _arrays(kind: str) -> list[np.ndarray]:
@@ -143,25 +140,13 @@ def test_a_callers_arrays_are_looked_at_by_identity() -> None:
     assert all(array[0] == 2.0 for array in many)
 
 
-def test_kernels_together_run_in_order_and_one_tells() -> None:
-    total = np.zeros(1)
-    call = together(bound(_add, ..., total), bound(_double, total), bound(_large, total))
-    assert [bool(call(1.0)), bool(call(1.0))] == [False, True]  # (0 + 1) 2 = 2, then (2 + 1) 2 = 6
-    assert total[0] == 6.0
-    first = together(bound(_large, total), bound(_double, total), telling=0)
-    total[0] = 4.0
-    assert not first()  # 4 when it was asked
-    assert total[0] == 8.0
-    joined = Joined(lambda x: [bound(_add, 3.0, x), bound(_double, x)])
-    other = np.zeros(1)
-    joined.on(total)()
-    joined.on(other)()
-    assert (total[0], other[0]) == (22.0, 6.0)
-
-
-def test_what_cannot_be_joined_is_refused_and_not_left_out() -> None:
-    with pytest.raises(TypeError, match="cannot be joined"):
-        together(bound(_add, ..., np.zeros(1)), lambda amount: None)
+def test_a_list_of_arrays_may_differ_in_length_and_layout() -> None:
+    now = [np.arange(3.0), np.arange(8.0)[::2]]
+    totals = [np.ones(3), np.ones((4, 2))[:, 1]]
+    call = bound(_add_each, now, totals)
+    call()
+    call()
+    assert [t.tolist() for t in totals] == [[1.0, 3.0, 5.0], [1.0, 5.0, 9.0, 13.0]]
 
 
 def test_tables_of_addresses_are_no_state() -> None:

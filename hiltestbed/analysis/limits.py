@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.analysis.spring_damper import SpringDamper
+from hiltestbed.compiled.jit import interpreted
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.touch import INSERTION
 from hiltestbed.frames import Array, pose_step
@@ -132,7 +133,7 @@ def ahead(scenario: Scenario) -> tuple[str, ...]:
         return ()
     speed, pose = scenario.approach.velocity[2], start[:7].copy()
     if speed > 0.0:
-        pose_step(start[:7], start[7:], scenario.approach.gap / speed, pose)
+        interpreted(pose_step)(start[:7], start[7:], scenario.approach.gap / speed, pose)
     (k, c), mass = acting_along_z(scenario), effective_mass(scenario)
     peak = SpringDamper(k, c, mass).peak_force(max(speed, 0.0))
     state = np.concatenate([pose, start[7:]])

@@ -7,7 +7,7 @@ safety limits can use the energy online.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -140,13 +140,14 @@ class Tally:
         """The numerical model's twist ``(n, 6)`` before the first tick."""
         self._sums.twist_before[:] = twist
 
-    def taking(
+    def take(
         self,
+        k: int,
         rig: tuple[Array, Array, Array, NDArray[np.bool_]],
         pose_before: Array,
         drive: tuple[Array, Array],
-    ) -> Callable[[int], None]:
-        """The update with tick k: a call with k, bound to arrays with fixed memory.
+    ) -> None:
+        """Update with tick ``k``; the arrays are the same at every tick.
 
         Args:
             rig: physical wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)`` and contact ``(n,)``
@@ -154,7 +155,7 @@ class Tally:
             pose_before: ``(n, 7)`` pose that had been commanded for t_k.
             drive: used wrench and new twist of the numerical model, ``(n, 6)`` each.
         """
-        return self._update.on(*rig, pose_before, *drive)
+        self._update.on(*rig, pose_before, *drive)(k)
 
     def parted(self, alive: NDArray[np.bool_]) -> bool:
         """Whether the rebound speed of every run in ``alive`` ``(n,)`` is known."""

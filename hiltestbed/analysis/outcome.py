@@ -6,7 +6,7 @@ touched first and what loads the interface carried; and the joints of the mechan
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -61,14 +61,15 @@ class Outcomes:
             (self.first, self._hard, self.loads),
         )
 
-    def taking(
+    def take(
         self,
+        k: int,
         known: tuple[Array, Array, Array],
         contact: NDArray[np.bool_],
         captured: NDArray[np.bool_],
         phases: Phases | None,
-    ) -> Callable[[int], None]:
-        """The update with tick k: a call with k, bound to arrays with fixed memory.
+    ) -> None:
+        """Update with tick ``k``; the arrays are the same at every tick.
 
         Args:
             known: physical wrench ``(n, 6)`` at t_k, pose ``(n, 7)`` and twist ``(n, 6)`` of the
@@ -77,7 +78,7 @@ class Outcomes:
         """
         if phases is not None:
             self.begun = phases.begun
-        return self._update.on(*known, contact, captured, self.begun)
+        self._update.on(*known, contact, captured, self.begun)(k)
 
     def summary(self, i: int) -> dict[str, Any]:
         """Outcome of run ``i``, with the time of capture [s], how it touched first, the largest

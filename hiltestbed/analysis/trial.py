@@ -47,7 +47,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.analysis.metrics import along_impulse
 from hiltestbed.analysis.rig_response import RigResponse
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.contact.directions import Direction, acting_along_z, time_of_touch
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.errors import InputError
@@ -105,7 +105,7 @@ class FirstContact:
         self.simulable = self._own <= LONGEST
         if touch > self._lead:
             start, pose = approach_state(scenario), np.empty(7)
-            pose_step(start[:7], start[7:], touch - self._lead, pose)
+            interpreted(pose_step)(start[:7], start[7:], touch - self._lead, pose)
             x, y, z = (float(v) for v in pose[:3])
             attitude = attitude_deg_from_quat(pose[3:]).tolist()
             self._data["approach"] |= {"gap": -z, "offset": [x, y], "attitude_deg": attitude}

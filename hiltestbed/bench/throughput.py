@@ -184,11 +184,10 @@ def per_block(scenario: Scenario, n: int) -> dict[str, float]:
     assert isinstance(plant, Plant)  # the simulated side
     wrench = plant.wrench_sub[:, -1]
     rig = (wrench, plant.pose_act, plant.twist_act, plant.contact)
-    figures = loop.tally.taking(rig, drive.pose, (drive.wrench, drive.twist))
     calls: dict[str, Callable[[], Any]] = {
         "sensor": lambda: loop.sensor.read(loop.k, plant.wrench_sub),
         "compensation and numerical model": lambda: drive.advance(loop.measurement),
-        "figures": lambda: figures(loop.k),
+        "figures": lambda: loop.tally.take(loop.k, rig, drive.pose, (drive.wrench, drive.twist)),
         "trace": lambda: row(loop.k),
         "platform, mechanisms, contact": lambda: plant.advance(
             drive.pose, loop.motion.twist, loop.motion.acceleration

@@ -11,7 +11,7 @@ call to call. The kernel itself is the same, and so are its results.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from operator import is_
 from typing import Any
@@ -35,10 +35,8 @@ _calls: dict[tuple[Any, ...], Any] = {}
 
 class Bound(partial):
     """A kernel with its arrays; ``kept`` references them and their table for as long as the kernel
-    can be called.
-
-    The additional attribute also prevents ``partial`` from flattening a nested ``Bound``, which
-    would lose the references.
+    can be called. The other attribute keeps ``partial`` from flattening a nested one, which would
+    lose the references.
     """
 
     __slots__ = ("kept",)
@@ -53,10 +51,11 @@ class Bound(partial):
 
 def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
     """``kernel`` with its arguments ``given`` in order: arrays, numbers, tuples of these (named or
-    not), and ``...`` for those that each call passes.
+    not), lists of arrays of one dtype and dimension, None for what a kernel is compiled without,
+    and ``...`` for the numbers that each call passes.
 
     Arrays must keep their memory: they may be written, but not replaced. Numbers are bound with
-        their current values.
+    their current values.
     """
     words: list[int] = []
     kinds = [_entered(value, words) for value in given]
@@ -67,14 +66,59 @@ def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
     return Bound(_calls[key], table, given)
 
 
+class Call:
+    """A kernel with some arrays of the caller, which are the same at almost every call; it is bound
+    again if one of them changes.
+    """
+
+    __slots__ = ("_bound", "_given", "_kernel", "_known", "_last")
+
+    def __init__(self, kernel: Any, *given: Any) -> None:
+        """``given``: as for :func:`bound`, with :data:`GIVEN` for each array that is passed to
+        :meth:`on`.
+        """
+        self._kernel, self._given = kernel, given
+        self._last: tuple[Any, ...] = (self,)  # not an array, so that the first call binds
+        self._bound: Any = None
+        self._known: dict[tuple[int, ...], tuple[tuple[Any, ...], Any]] = {}
+
+    def on(self, *arrays: Any) -> Callable[..., Any]:
+        """The kernel bound to the caller's arrays, in the order of its arguments; it is called with
+        the numbers that change.
+        """
+        if len(arrays) == len(self._last) and all(map(is_, arrays, self._last)):
+            return self._bound
+        # the arrays are referenced, so that their ids cannot be reused
+        key = tuple(map(id, arrays))
+        if key not in self._known:
+            if len(self._known) >= REMEMBERED:
+                self._known.clear()
+            rest = iter(arrays)
+            self._known[key] = arrays, bound(self._kernel, *_filled(self._given, rest))
+        self._last, self._bound = self._known[key]
+        return self._bound
+
+
+def _filled(given: tuple[Any, ...], rest: Iterator[Any]) -> tuple[Any, ...]:
+    """``given``, and plain tuples in it, with the next of ``rest`` for each :data:`GIVEN`."""
+    return tuple(
+        next(rest) if v is GIVEN else _filled(v, rest) if type(v) is tuple else v for v in given
+    )
+
+
 def _entered(value: Any, words: list[int]) -> tuple[Any, ...] | None:
     """Append a value to the ``words`` of a table. Returns the index of its first word and its type;
-    of a named tuple its class and the same of each of its parts; None if each call passes it.
+    of a tuple or a list its class and the same of each of its parts; None if each call passes it.
     """
     if value is ...:
         return None
-    if isinstance(value, tuple):
-        return type(value), *(_entered(part, words) for part in value)
+    if value is None:
+        return (type(None),)
+    if isinstance(value, (tuple, list)):
+        parts = [_entered(part, words) for part in value]
+        if isinstance(value, list):  # of one type, so that a kernel can count through them
+            parts = [(part[0], part[1].copy(layout="A")) for part in parts if part]
+        return type(value), *parts
     at = len(words)
     if isinstance(value, np.ndarray):
         words += [value.ctypes.data, *value.shape, *value.strides]
@@ -84,105 +128,6 @@ def _entered(value: Any, words: list[int]) -> tuple[Any, ...] | None:
         return at, types.float64
     words.append(int(value))
     return at, types.boolean if isinstance(value, (bool, np.bool_)) else types.int64
-
-
-def together(*calls: Callable[..., Any], telling: int = -1) -> Callable[..., Any]:
-    """Several results of :func:`bound`, in this order, as one call; it returns the result of the
-    one at index ``telling`` (the last).
-
-    Each takes as many of the call's numbers as it takes by itself.
-    """
-    parts = [_whole(call) for call in calls]
-    table = np.array([part.args[0] for part in parts], dtype=np.int64)
-    telling %= len(parts)
-    key = (together, telling, *(part.func for part in parts))
-    if key not in _calls:
-        _calls[key] = _joined([part.func for part in parts], telling)
-    return Bound(_calls[key], table, parts)
-
-
-def _whole(call: Callable[..., Any]) -> Bound:
-    if not isinstance(call, Bound):
-        raise TypeError(
-            f"together: {call!r} cannot be joined; allowed is what bound and together give"
-        )
-    return call
-
-
-class Call:
-    """A kernel with some arrays of the caller, which are the same at almost every call; it is bound
-    again if one of them changes.
-    """
-
-    __slots__ = ("_a", "_b", "_bound", "_c", "_d", "_e", "_f", "_g", "_given", "_kernel", "_known")
-
-    def __init__(self, kernel: Any, *given: Any) -> None:
-        """``given``: as for :func:`bound`, with :data:`GIVEN` for each array or number that is
-        passed to :meth:`on`: at most seven.
-        """
-        self._kernel, self._given = kernel, given
-        self._a: Any = self  # not an array, so that the first call binds
-        self._b = self._c = self._d = self._e = self._f = self._g = None
-        self._bound: Any = None
-        self._known: dict[tuple[int, ...], tuple[tuple[Any, ...], Any]] = {}
-
-    def on(
-        self,
-        a: Any = None,
-        b: Any = None,
-        c: Any = None,
-        d: Any = None,
-        e: Any = None,
-        f: Any = None,
-        g: Any = None,
-    ) -> Callable[..., Any]:
-        """The kernel bound to the caller's arrays, in the order of its arguments; it is called with
-        the arguments that change.
-        """
-        if (
-            a is self._a
-            and b is self._b
-            and c is self._c
-            and d is self._d
-            and e is self._e
-            and f is self._f
-            and g is self._g
-        ):
-            return self._bound
-        self._a, self._b, self._c, self._d, self._e, self._f, self._g = arrays = a, b, c, d, e, f, g
-        # the arrays are referenced, so that their ids cannot be reused
-        key = tuple(map(id, arrays))
-        if key not in self._known:
-            if len(self._known) >= REMEMBERED:
-                self._known.clear()
-            rest = iter(arrays)
-            self._known[key] = (
-                arrays,
-                bound(
-                    self._kernel,
-                    *(next(rest) if value is GIVEN else value for value in self._given),
-                ),
-            )
-        self._bound = self._known[key][1]
-        return self._bound
-
-
-class Joined:
-    """Several kernels on the caller's arrays as one call, joined again if an array changes."""
-
-    __slots__ = ("_call", "_last", "_parts")
-
-    def __init__(self, parts: Callable[..., list[Callable[..., Any]]]) -> None:
-        """``parts``: makes the calls that :func:`together` joins, from the caller's arrays."""
-        self._parts = parts
-        self._last: tuple[Any, ...] = (self,)  # not an array, so that the first call joins
-        self._call: Any = None
-
-    def on(self, *arrays: Any) -> Callable[..., Any]:
-        """The one call on the caller's ``arrays``."""
-        if len(arrays) != len(self._last) or not all(map(is_, arrays, self._last)):
-            self._call, self._last = together(*self._parts(*arrays)), arrays
-        return self._call
 
 
 def _type_of(array: Any) -> Any:
@@ -215,11 +160,13 @@ def _compiled(kernel: Any, kinds: list[Any]) -> Any:
         """The expression for an argument, or for a part of it."""
         if kind is None:
             return f"given_{i}"
+        if kind[0] is type(None):
+            return "None"
         name = f"kind_{len(named)}"
         if isinstance(kind[0], type):
             named[name] = kind[0]
             parts = "".join(f"{read(i, part)}, " for part in kind[1:])
-            return f"({parts})" if kind[0] is tuple else f"{name}({parts})"
+            return f"({parts})" if kind[0] in (tuple, list) else f"{name}({parts})"
         named[name] = kind[1]
         how = "array" if isinstance(kind[1], types.Array) else "number"
         return f"{how}(table, {kind[0]}, {name})"
@@ -234,30 +181,6 @@ def _compiled(kernel: Any, kinds: list[Any]) -> Any:
         f"def {name}({', '.join(['table', *brought])}):\n    return kernel({', '.join(passed)})\n"
     )
     exec(compile(text, function.__code__.co_filename, "exec"), space)
-    return njit(cache=True)(space[name])
-
-
-def _joined(calls: list[Any], telling: int) -> Any:
-    """A function of the address of a table of tables, cached beside the last of the ``calls``."""
-    takes = [call.py_func.__code__.co_argcount - 1 for call in calls]
-    brought = [f"given_{i}" for i in range(max(takes))]
-    last = calls[-1].py_func
-    space: dict[str, Any] = {"number": _number, "word": types.int64, "__name__": last.__module__}
-    space |= {f"call_{i}": call for i, call in enumerate(calls)}
-    lines = [
-        f"call_{i}({', '.join([f'number(table, {i}, word)', *brought[:count]])})"
-        for i, count in enumerate(takes)
-    ]
-    lines[telling] = f"result = {lines[telling]}"
-    names = str(telling).join(
-        f"{call.py_func.__module__}.{call.py_func.__name__}" for call in calls
-    )
-    name = f"{last.__name__}_after_{hashlib.sha256(names.encode()).hexdigest()[:16]}"
-    text = (
-        "\n    ".join([f"def {name}({', '.join(['table', *brought])}):", *lines, "return result"])
-        + "\n"
-    )
-    exec(compile(text, last.__code__.co_filename, "exec"), space)
     return njit(cache=True)(space[name])
 
 

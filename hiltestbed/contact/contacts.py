@@ -4,15 +4,14 @@ latch, mount, applied wrenches.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from hiltestbed.compiled.bound import bound
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.contact.composition import ACTIVE, Structure, set_linear
 from hiltestbed.contact.engagement import Engagement
 from hiltestbed.contact.mount import Mounts
@@ -39,7 +38,6 @@ class Contacts:
         written: whether :meth:`meet` must be called at every instant; otherwise MuJoCo computes the
             contacts alone.
         stage: up to which MuJoCo must have computed the forward dynamics before that.
-        looking: the calls of :meth:`look`.
         touching: (n,) bool, whether they touch; latched: (n,) bool. mount: of the passive side.
     """
 
@@ -77,12 +75,11 @@ class Contacts:
         site = model.site(ACTIVE + "A")
         self._active = int(model.site_bodyid[site.id])
         self._arm = np.zeros(3)
-        rotate_back(site.quat[[1, 2, 3, 0]], model.body_ipos[self._active] - site.pos, self._arm)
-        self._centre, self._load = np.zeros((n, 3)), np.zeros((n, 6))
-        itself = engagement is None and force is None
-        self.looking: list[Callable[[], None]] = (
-            [bound(_count, self._ncon, self.touching)] if itself else []
+        rotate_back.py_func(
+            site.quat[[1, 2, 3, 0]], model.body_ipos[self._active] - site.pos, self._arm
         )
+        self._centre, self._load = np.zeros((n, 3)), np.zeros((n, 6))
+        self._alone = engagement is None and force is None
 
     @property
     def engagement(self) -> Engagement:
@@ -103,7 +100,8 @@ class Contacts:
         """Balance the weight on the mount with nothing latched; undone by :meth:`reset`."""
         if self._engagement is not None:
             self._engagement.latches.open(captured=False)
-        load_body(1.0, self.mount.balance, self.mount.body, self.mount.centre, self._applied)
+        balance = self.mount.balance
+        interpreted(load_body)(1.0, balance, self.mount.body, self.mount.centre, self._applied)
 
     def meet(
         self, pose: Array, twist: Array, place: Array | None = None, motion: Array | None = None
@@ -124,7 +122,8 @@ class Contacts:
         elif self._force is not None:
             self._pull[:] = self._force.next()
             if place is not None:
-                _into_world(place, self._pull)
+                for at, wrench in zip(place, self._pull, strict=True):
+                    to_frame(at, wrench.copy(), wrench)
         if self._pulls:
             _centres(pose, self._arm, self._centre)
             load_body(-1.0, self._pull, self._active, self._centre, self._applied)
@@ -132,35 +131,10 @@ class Contacts:
             np.add(self._pull, mount.balance, out=self._load)
             load_body(1.0, self._load, mount.body, mount.centre, self._applied)
 
-    def meeting(
-        self, pose: Array, twist: Array, place: Array | None = None, motion: Array | None = None
-    ) -> list[Callable[[], None]]:
-        """The calls of :meth:`meet` on arrays that are reused; none if not all are compiled."""
-        mount = self.mount
-        if self._engagement is None or self._pulls or mount.moves:
-            return []
-        ride = [] if place is None or motion is None else [mount.riding(place, motion)]
-        return ride + self._engagement.updating(pose, twist, mount.place, mount.motion)
-
     def look(self) -> None:
         """Set ``touching`` where MuJoCo computes the contacts alone."""
-        for count in self.looking:
-            count()
-
-
-@njit(cache=True)
-def _count(contacts, touching):
-    for i in range(contacts.shape[0]):
-        touching[i] = contacts[i] > 0
-
-
-@njit(cache=True)
-def _into_world(place, wrench):
-    """Transform wrenches (n, 6) from P at P's origin to W at W's; P at ``place`` (n, 7)."""
-    local = np.empty(6)
-    for i in range(wrench.shape[0]):
-        local[:] = wrench[i]
-        to_frame(place[i], local, wrench[i])
+        if self._alone:
+            np.greater(self._ncon, 0, out=self.touching)
 
 
 @njit(cache=True)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiltestbed.compiled.jit import interpreted
 from hiltestbed.contact.law import Pair, acting_contacts, acting_law, in_series
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.touch import BEYOND, INSERTION, STOPS, Meeting, first_touch
@@ -152,7 +153,7 @@ def time_of_touch(scenario: Scenario) -> float | None:
         end = (scenario.approach.gap + BEYOND) / ahead
     times = np.linspace(0.0, end, STOPS)
     for k, t in enumerate(times):
-        pose_step(start[:7], start[7:], float(t), pose)
+        interpreted(pose_step)(start[:7], start[7:], float(t), pose)
         if meeting.deepest(pose) > 0.0:
             return float(times[k - 1]) if k else 0.0
     return None

@@ -26,7 +26,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import Joined, bound
+from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import (
     ACTIVE,
@@ -122,7 +122,6 @@ class Engagement:
         self._captured = scenarios[0].mechanism.captured
         self.latched = np.zeros(n, dtype=bool)
         self._touching = self._touches(dt, least_creep)
-        self._updated = Joined(self.updating)
         k = self.latches.number(LATCH) if structure.latched else None
         self._relative = None if k is None else (self.latches.pose[:, k], self.latches.twist[:, k])
         moves = bool(sides.native or sides.frames)
@@ -139,15 +138,15 @@ class Engagement:
     def _touches(self, dt: float, least_creep: float) -> list[Callable[[], None]]:
         """The calls that compute the contacts from the poses of the bodies."""
         b, p = self._bodies, self._pairs
-        found = [bound(_none, self.wrench, self.pull, self.touching)]
+        found: list[Callable[[], None]] = []
         laws = Laws(dt, least_creep, self.parameters, self.linear, self._live, p.gain)
         felt = FacetState(self.state, self.met, self.wrench, self.pull, self.touching)
         if self._facets:
-            found = [bound(touch_facets, self._geometry, laws, b.bodies, p.inputs, felt)]
+            found.append(bound(touch_facets, self._geometry, laws, b.bodies, p.inputs, felt))
         if p.reading.shape[1]:
             found.append(bound(touch_natively, self._facets, p.reading, laws, p.inputs, felt))
         if self.latches.closures:
-            found += [self.latches.holding(dt, b.bodies), bound(_or, self.touching, self.latched)]
+            found.append(self.latches.holding(dt, b.bodies))
         return found
 
     @property
@@ -162,17 +161,13 @@ class Engagement:
 
     def update(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
         """Update MuJoCo's contacts, once per instant, for poses and twists in W of A and of S."""
-        self._updated.on(pose, twist, place, motion)()
-
-    def updating(
-        self, pose: Array, twist: Array, place: Array, motion: Array
-    ) -> list[Callable[[], None]]:
-        """The calls of :meth:`update`, in order, bound to arrays that are reused."""
-        return [
-            self._bodies.standing(pose, twist, place, motion),
-            *self._bodies.moving,
-            *self._touching,
-        ]
+        self._bodies.stand(pose, twist, place, motion)
+        if not self._facets:
+            self.wrench[:], self.pull[:], self.touching[:] = 0.0, 0.0, False
+        for touch in self._touching:
+            touch()
+        if self.latches.closures:
+            np.logical_or(self.touching, self.latched, out=self.touching)
 
     def capture(self, which: NDArray[np.bool_]) -> None:
         """Latch the runs ``which`` (n,) as they are, from the next instant on, without contacts."""
@@ -219,7 +214,6 @@ class _Bodies:
 
     Attributes:
         bodies: their poses and twists.
-        moving: the calls that update those of moving parts.
     """
 
     def __init__(self, batch: Batch, structure: Structure, tilt: Array) -> None:
@@ -236,21 +230,20 @@ class _Bodies:
             carry[i, S, 3:7] = q
         self.bodies = CarriedFrames(np.zeros((n, count, 7)), np.zeros((n, count, 6)), carry)
         ids = np.array([m.body(PREFIXES[side] + body).id for side, body in names], dtype=np.int64)
-        self.moving: list[Callable[[], None]] = []
+        self._parts: Callable[[], None] | None = None
         if names:
             roots = m.body_rootid[ids].astype(np.int64)
             columns = {"xpos": 3, "xquat": 4, "cvel": 6, "subtree_com": 3}
             read = [batch.bind(name).reshape(n, -1, size) for name, size in columns.items()]
-            self.moving.append(
-                bound(_parts, ids, roots, *read, self.bodies.frames, self.bodies.motions)
-            )
+            self._parts = bound(_parts, ids, roots, *read, self.bodies.frames, self.bodies.motions)
 
-    def standing(
-        self, pose: Array, twist: Array, place: Array, motion: Array
-    ) -> Callable[[], None]:
-        """The call that updates the frames A and S."""
+    def stand(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
+        """Update the frames: A and S from these, those of moving parts from MuJoCo."""
         frames, motions = self.bodies.frames, self.bodies.motions
-        return bound(_stand, pose, twist, place, motion, frames, motions)
+        frames[:, A], frames[:, S] = pose, place
+        motions[:, A], motions[:, S] = twist, motion
+        if self._parts is not None:
+            self._parts()
 
 
 class _Pairs:
@@ -289,30 +282,6 @@ class _Pairs:
         reading = batch.bind("sensordata")
         first = int(m.sensor("native_0").adr[0]) if sides.native else 0
         self.reading = reading[:, first : first + READ * len(sides.native)]
-
-
-@njit(cache=True)
-def _none(wrench, pull, touching):
-    """Clear the results before the contacts are computed."""
-    wrench[:] = 0.0
-    pull[:] = 0.0
-    touching[:] = False
-
-
-@njit(cache=True)
-def _or(touching, latched):
-    for i in range(touching.shape[0]):
-        touching[i] |= latched[i]
-
-
-@njit(cache=True)
-def _stand(pose, twist, place, motion, frames, motions):
-    """Set poses and twists of A and S."""
-    for i in range(pose.shape[0]):
-        for j in range(7):
-            frames[i, A, j], frames[i, S, j] = pose[i, j], place[i, j]
-        for j in range(6):
-            motions[i, A, j], motions[i, S, j] = twist[i, j], motion[i, j]
 
 
 @njit(cache=True)

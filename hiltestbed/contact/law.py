@@ -86,7 +86,8 @@ def _law(x, v, branch, p, held):
     if x < 0.0:
         elastic = -elastic
     if p[SPRING_OVER_PENETRATION] > 0.0 or p[SPRING_OVER_RATE] > 0.0:
-        elastic *= 1.0 + _of_spring(x, v, p)
+        deep = between(p[SPRING_OVER_PENETRATION : SPRING_OVER_PENETRATION + PACKED], x)
+        elastic *= 1.0 + (deep + between(p[SPRING_OVER_RATE : SPRING_OVER_RATE + PACKED], v))
     force = elastic + abs(elastic) * p[ALPHA] * v if p[ALPHA] >= 0.0 else elastic + p[DAMPING] * v
     if p[DRY] != 0.0 and p[DRAG] <= 0.0:
         force += p[DRY] * math.tanh(v / SLIP_SPEED)
@@ -102,13 +103,6 @@ def _law(x, v, branch, p, held):
     if held:
         return force
     return max(force, -p[ADHESION])
-
-
-@njit(cache=True)
-def _of_spring(x, v, p):
-    """The fraction of the elastic force that learned curves add."""
-    deep = between(p[SPRING_OVER_PENETRATION : SPRING_OVER_PENETRATION + PACKED], x)
-    return deep + between(p[SPRING_OVER_RATE : SPRING_OVER_RATE + PACKED], v)
 
 
 @njit(cache=True)

@@ -9,7 +9,7 @@ weight's changing lever arm at the sensor, would appear in the torque readings.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -83,11 +83,7 @@ class Mounts:
 
     def ride(self, place: Array, motion: Array) -> None:
         """Set the pose of a rigidly mounted side: P at ``place`` (n, 7), ``motion`` (n, 6)."""
-        self.riding(place, motion)()
-
-    def riding(self, place: Array, motion: Array) -> Callable[[], None]:
-        """:meth:`ride` bound to arrays that are reused."""
-        return self._ridden.on(place, motion)
+        self._ridden.on(place, motion)()
 
 
 @njit(cache=True)

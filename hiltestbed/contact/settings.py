@@ -118,6 +118,11 @@ class Mechanism(Strictly):
         """Stiffness, damping and friction of each rule."""
         return (self.contact,)
 
+    @property
+    def captures(self) -> bool:
+        """Whether its sides are held to each other at some time."""
+        return self.captured or self.latch is not None or bool(self.phases())
+
     def latch_contact(self) -> Contact:
         """Stiffness and damping of the latch."""
         return self.contact

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hiltestbed.compiled.jit import interpreted
 from hiltestbed.contact.geometry import FRAMES, unmet
 from hiltestbed.contact.law import Pair, acting_contacts, acting_law, in_series, linear_law
 from hiltestbed.contact.parameters import LEVER, OFFSET, PARAMETERS
@@ -184,7 +185,9 @@ class Meeting:
         p[:, LEVER], p[:, OFFSET] = 0.5, 0.0
         self.frames = np.zeros((frames, 7))
         self.frames[1, 6] = 1.0
-        met = unmet(count)
+        met = unmet.py_func(count)
+        # a loop whose contacts MuJoCo computes alone needs no compiled kernel for them
+        self._meet = interpreted(meet_all) if sides.exact else meet_all
         self.depth, self.point, self.normal = met.depth, met.point, met.normal
         self._met = sides.geometry, p, self.frames, np.zeros((frames, 6)), np.empty((9, 7)), met
 
@@ -193,7 +196,7 @@ class Meeting:
         with its point and normal in W, is in ``depth``, ``point`` and ``normal``.
         """
         self.frames[0] = pose
-        meet_all(*self._met)
+        self._meet(*self._met)
         return float(self.depth.max())
 
 

@@ -18,13 +18,12 @@ position when the latch closed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.geometry import ACTIVE, PASSIVE
 from hiltestbed.contact.sides import sides_of
@@ -65,6 +64,7 @@ class HeldPlace:
             3)`` [m] in P, from which its translation is measured; reference: ``(n, 4)`` attitude of
             A in P from which rotation is measured. since: ``(n,)`` ticks since the mechanism
         last changed (a capture, a release, a phase). changes: ``(n,)`` number of such changes.
+        latches, now: for :func:`update_held`.
     """
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
@@ -80,7 +80,7 @@ class HeldPlace:
                 kinds.append(ON_ACTIVE if a == ACTIVE else ON_PASSIVE if p == PASSIVE else AT_A)
                 together.append(phase.close.hold == "together" and kinds[-1] != AT_A)
             acts.append(closing)
-        latches = _Latches(
+        self.latches = _Latches(
             np.array([NONE, *acts], dtype=np.int64),
             np.array(places).reshape(len(kinds), 2, 7),
             np.array(kinds, dtype=np.int64),
@@ -90,7 +90,7 @@ class HeldPlace:
         self.origin = np.zeros((n, 3))
         self.reference = np.tile(UNTURNED, (n, 1))
         self.since, self.changes = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-        now = _Now(
+        self.now = _Now(
             np.array([s.mechanism.captured for s in scenarios]),
             np.zeros(n, dtype=np.int64),
             self.lever,
@@ -99,19 +99,11 @@ class HeldPlace:
             self.since,
             self.changes,
         )
-        self._update = Call(_update, GIVEN, GIVEN, GIVEN, latches, now)
-
-    def updating(
-        self, pose: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]
-    ) -> Callable[[], None]:
-        """A call, once per tick, bound to pose ``(n, 7)``, whether captured, and phases begun
-        ``(n,)``, which are reused at every tick.
-        """
-        return self._update.on(pose, captured, steps)
 
 
 @njit(cache=True)
-def _update(pose, captured, steps, latches, now):
+def update_held(pose, captured, steps, latches, now):
+    """A tick at pose ``(n, 7)``, for whether it is captured and phases begun ``(n,)``."""
     acts, places, kinds, together = latches
     held, before, lever, origin, reference, since, changes = now
     v, q = np.empty(3), np.empty(4)

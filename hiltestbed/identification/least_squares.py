@@ -93,7 +93,6 @@ class _Sums(NamedTuple):
 
     seen: NDArray[np.int64]  # (n,) changes of the mechanism so far
     sums: Array  # (n, 7, SUMS)
-    products: Array  # (n, PAIRS, PRODUCTS)
     found: Array  # (4, n, 7) k, c and their standard deviations
     used: Array  # (n, 7) samples
 
@@ -125,7 +124,7 @@ class RecursiveLeastSquares:
         self._lead = lead
         self.forgetting = np.array(forgetting)
         self._sums = np.zeros((n, 7, SUMS))
-        self._products = np.zeros((n, PAIRS, PRODUCTS))
+        products = np.zeros((n, PAIRS, PRODUCTS)) if source.captures else None
         self._found = np.full((4, n, 7), np.nan)
         self._used = np.zeros((n, 7))
         self.stiffness, self.damping, self.stiffness_sd, self.damping_sd = self._found[
@@ -134,8 +133,8 @@ class RecursiveLeastSquares:
         self.samples = self._used[:, :NORMAL]
         self._changes = np.zeros(n, dtype=np.int64)
         self._noise = source.noise**2
-        sums = _Sums(self._changes, self._sums, self._products, self._found, self._used)
-        given = (source.held.changes, source.found, self.forgetting, self._noise, sums)
+        sums = _Sums(self._changes, self._sums, self._found, self._used)
+        given = (source.held.changes, source.found, self.forgetting, self._noise, products, sums)
         self._estimated = Call(_estimate, GIVEN, *given)
 
     @property
@@ -151,16 +150,18 @@ class RecursiveLeastSquares:
 
 
 @njit(cache=True)
-def _estimate(captured, changes, samples, forgetting, noise, s):
-    _begin_anew(changes, s)
-    _accumulate(samples, forgetting, captured, s)
-    _solve(samples, captured, noise, s)
+def _estimate(captured, changes, samples, forgetting, noise, products, s):
+    """``products`` (n, PAIRS, PRODUCTS): of coupled axes; None for a mechanism without latches."""
+    if products is not None:
+        _begin_anew(changes, products, s)
+    _accumulate(samples, forgetting, captured, products, s)
+    _solve(samples, captured, noise, products, s)
 
 
 @njit(cache=True)
-def _begin_anew(changes, s):
+def _begin_anew(changes, products, s):
     """Reset the six axes where the mechanism has changed: a latch, a phase of capture."""
-    seen, sums, products, found, used = s
+    seen, sums, found, used = s
     for i in range(changes.shape[0]):
         if changes[i] == seen[i]:
             continue
@@ -177,16 +178,16 @@ def _begin_anew(changes, s):
 
 
 @njit(cache=True)
-def _accumulate(samples, forgetting, captured, s):
+def _accumulate(samples, forgetting, captured, products, s):
     ready, ready_normal, sample = samples.ready, samples.ready_normal, samples.whole
-    sums, products, used = s.sums, s.products, s.used
+    sums, used = s.sums, s.used
     for i in range(sample.shape[0]):
         for j in range(7):
             if not (ready[i] if j < NORMAL else ready_normal[i]):
                 continue
             accumulate(sums[i, j], sample[i, j], forgetting[i])
             used[i, j] += 1.0
-        if ready[i] and captured[i]:
+        if products is not None and ready[i] and captured[i]:
             accumulate_pairs(sample[i], forgetting[i], products[i])
 
 
@@ -241,9 +242,9 @@ def _fit(sums, out):
 
 
 @njit(cache=True)
-def _solve(samples, captured, noise, s):
+def _solve(samples, captured, noise, products, s):
     ready, ready_normal, place = samples.ready, samples.ready_normal, samples.place
-    sums, products, found = s.sums, s.products, s.found
+    sums, found = s.sums, s.found
     out = np.empty(4)
     for i in range(sums.shape[0]):
         for j in range(7):
@@ -253,11 +254,13 @@ def _solve(samples, captured, noise, s):
             held = captured[i] and j < NORMAL
             if total <= 0.0 and not held:
                 continue
-            variance = _variance(j, place[i], noise[i]) if held else 0.0
-            if held and total > 0.0 and PARTNERS[j] >= 0:
-                _, rest = take_in_partner(
-                    j, products[i], sums[i, j], sums[i, PARTNERS[j]], variance, rest, out
-                )
+            variance = 0.0
+            if products is not None:
+                variance = _variance(j, place[i], noise[i]) if held else 0.0
+                if held and total > 0.0 and PARTNERS[j] >= 0:
+                    _, rest = take_in_partner(
+                        j, products[i], sums[i, j], sums[i, PARTNERS[j]], variance, rest, out
+                    )
             accepted = total > 0.0 and total - rest >= EXPLAINED * total
             if held:
                 accepted &= rest - sums[i, j, 0] * variance <= HELD_REST * (total - rest)

@@ -24,20 +24,20 @@ deviation is larger.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import GIVEN, Call, Joined
+from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.geometry import ROW, SIDE, unmet
 from hiltestbed.contact.parameters import LEVER, PARAMETERS
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.wrench import meet_all
 from hiltestbed.frames import Array
-from hiltestbed.identification.held import HeldPlace, add_moment, referred
+from hiltestbed.identification.held import HeldPlace, add_moment, referred, update_held
 from hiltestbed.sensor.chain import FILTERED, filtered, filters_of, high_pass, low_pass
 
 if TYPE_CHECKING:
@@ -108,7 +108,8 @@ class ContactSamples:
             whether it pulls or pushes.
         at_once: ``(n,)`` largest number of surfaces penetrated at the same tick; 0 if the pose does
             not show it.
-        steps: ``(n,)`` number of phases of capture begun. held: the latch's reference point, and
+        captures: whether the mechanism has latches. steps: ``(n,)`` number of phases of capture
+            begun. held: the latch's reference point, and
             the changes of the mechanism.
     """
 
@@ -137,7 +138,6 @@ class ContactSamples:
             [[s.sensor.noise, s.sensor.torque_noise] if known else [UNKNOWN] * 2 for s in scenarios]
         )
         lowpass, highpass = filters_of(scenarios) if aligned else (np.zeros(n), np.full(n, np.inf))
-        self._estimate = estimate
         spent = FILTER_MEMORY * lowpass
         # the led force is that at t_k; whether the contact still lasts is known only a delay later
         if lead:
@@ -157,7 +157,8 @@ class ContactSamples:
             # the pose does not show moving parts of a side
             sides.rigid and len(sides.facets) > 0,
         )
-        self._known = given.known
+        # on a plane nothing is estimated along the normal
+        self._known = given.known and not given.flat[0]
         self._clock = np.zeros(1, dtype=np.int64)  # ticks seen
         self._past = past = _Past(
             np.zeros((n, length, 7)),
@@ -170,6 +171,7 @@ class ContactSamples:
             np.zeros(n, dtype=np.int64),
         )
         self.held = held = HeldPlace(scenarios)
+        self.captures = first.mechanism.captures
         self.captured, self.steps = np.zeros(n, dtype=bool), np.zeros(n, dtype=np.int64)
         # force and speed at the first contact sample, delay as found then
         self._onset = np.full((n, 3), np.nan)
@@ -179,15 +181,11 @@ class ContactSamples:
         self.ready, self.ready_normal, self.place, self.whole = self.found
         self.sample = self.whole[:, :NORMAL]
         self.at_once = np.zeros(n, dtype=np.int64)
-        self._taken = Joined(self._taking)
-        self._remembered = Call(_remember, ..., GIVEN, GIVEN, held.lever, held.reference, past)
         self._met = Call(_meet, ..., sides.geometry, GIVEN, GIVEN, past, self.at_once)
-        self._gate = Call(_gate, GIVEN, GIVEN, self.delay, given, past)
-        self._delayed = Call(_find_delay, ..., h, longest, GIVEN, past, self.delay, self._onset)
-        latch = (held.origin, held.changes, held.since)
-        self._sampled = Call(
-            _sample_and_choose, ..., GIVEN, GIVEN, self.delay, given, past, latch, self.found
-        )
+        onset = (longest, self._onset) if estimate else None
+        latches = held.latches if self.captures else None
+        parts = (given, past, self.delay, latches, held.now, onset, self.found)
+        self._taken = Call(_take, ..., (GIVEN,) * 6, *parts)
 
     def take(self, wrench: Array, pose: Array, twist: Array, led: Array | None = None) -> None:
         """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``;
@@ -195,27 +193,10 @@ class ContactSamples:
         """
         k = int(self._clock[0])
         force = wrench if led is None else led
+        if self._known:
+            self._met.on(pose, twist)(k)
         self._taken.on(wrench, force, pose, twist, self.captured, self.steps)(k)
         self._clock[0] = k + 1
-
-    def _taking(
-        self,
-        wrench: Array,
-        force: Array,
-        pose: Array,
-        twist: Array,
-        captured: NDArray[np.bool_],
-        steps: NDArray[np.int64],
-    ) -> list[Callable[..., None]]:
-        """The calls of :meth:`take`; ``force``: the wrench, or that after the lead."""
-        return [
-            self.held.updating(pose, captured, steps),
-            self._remembered.on(pose, twist),
-            *([self._met.on(pose, twist)] if self._known else ()),
-            self._gate.on(wrench, captured),
-            *([self._delayed.on(wrench)] if self._estimate else ()),
-            self._sampled.on(force, captured),
-        ]
 
     def delay_sd(self, stiffness: Array) -> Array:
         """``(n,)`` [s] standard deviation of the estimated delay, given the axial stiffness
@@ -284,11 +265,19 @@ def _meet(k, geometry, pose, twist, past, at_once):
 
 
 @njit(cache=True)
-def _sample_and_choose(k, wrench, captured, delay, given, past, latch, found):
-    """Store the current sample in ``pending``, and select the pending sample to be used."""
-    origin, changes, since = latch
-    _sample(k, wrench, captured, delay, given, past, origin, found.place)
-    _choose(k, delay, given, past, changes, since, found)
+def _take(k, rig, given, past, delay, latches, held, onset, found):
+    """Store the current sample in ``pending``, and select the pending sample to be used.
+    ``latches``: None without any. ``onset``: None for a delay that is known.
+    """
+    wrench, force, pose, twist, captured, steps = rig
+    if latches is not None:
+        update_held(pose, captured, steps, latches, held)
+    _remember(k, pose, twist, held.lever, held.reference, past)
+    _gate(wrench, captured, delay, given, past)
+    if onset is not None:
+        _find_delay(k, given.tick, onset, wrench, past, delay)
+    _sample(k, force, captured, delay, given, past, held.origin, found.place)
+    _choose(k, delay, given, past, held.changes, held.since, found)
 
 
 @njit(cache=True)
@@ -371,19 +360,20 @@ def _gate(wrench, captured, delay, given, past):
 
 
 @njit(cache=True)
-def _find_delay(k, h, longest, wrench, past, delay, onset):
+def _find_delay(k, h, onset, wrench, past, delay):
     """At a run's first contact sample: delay as the time since the nominal touch was crossed."""
+    longest, first = onset
     x, v, gated = past.x, past.v, past.gated
     length = x.shape[1]
     for i in range(wrench.shape[0]):
-        if gated[i] != 1 or not np.isnan(onset[i, 0]):
+        if gated[i] != 1 or not np.isnan(first[i, 0]):
             continue
         for back in range(length - 1):  # the tick within which the pose crossed the touch point
             late, early = x[i, (k - back) % length, 2], x[i, (k - back - 1) % length, 2]
             if early < 0.0 <= late:
                 crossed = back + late / (late - early)
                 delay[i] = min(max((crossed - 0.5) * h, 0.0), longest)
-                onset[i, 0] = wrench[i, 2]
-                onset[i, 1] = v[i, (k - back) % length, 2]
-                onset[i, 2] = delay[i]
+                first[i, 0] = wrench[i, 2]
+                first[i, 1] = v[i, (k - back) % length, 2]
+                first[i, 2] = delay[i]
                 break

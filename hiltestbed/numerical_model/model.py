@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call, bound
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, cross, pose_step, rotate, rotate_back
 from hiltestbed.numerical_model.bodies import (
@@ -116,17 +116,18 @@ class NumericalModel:
 
     def reset(self) -> None:
         """Target at rest with P at the inertial origin; chaser as ``approach`` says."""
-        place_at_start(self._approach, self._port, self.q, self.v)
+        interpreted(place_at_start)(self._approach, self._port, self.q, self.v)
         self._swing[:] = 0.0
-        hang(self._appendage, self._placed, self._rest, self.q, self.v, self._swing)
-        relative_states(self.q, self.v, self._port, self.pose, self.twist)
+        if self._placed.any():
+            hang(self._appendage, self._placed, self._rest, self.q, self.v, self._swing)
+        interpreted(relative_states)(self.q, self.v, self._port, self.pose, self.twist)
         if self._late is not None:
             run_back(self.pose, self.twist, self.tick, self._handed)
 
     def believed_start(self) -> tuple[Array, Array]:
         """``q`` and ``v`` of the nominal bodies at t = 0."""
         q, v = np.zeros_like(self.q), np.zeros_like(self.v)
-        place_at_start(self._approach, self.port, q, v)
+        interpreted(place_at_start)(self._approach, self.port, q, v)
         return q, v
 
     def centres(self) -> Array:

@@ -13,7 +13,8 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import GIVEN, Call, together
+from hiltestbed.compiled.bound import bound
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array
@@ -24,7 +25,6 @@ from hiltestbed.platform.facilities.limits import Watch
 from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.model import sensor_columns
 from hiltestbed.platform.response import PlatformResponse
-from hiltestbed.sensor.readout import read_history, read_wrench
 
 if TYPE_CHECKING:
     from hiltestbed.contact.contacts import AppliedForce
@@ -99,19 +99,11 @@ class ServoTracking:
         self._late = np.zeros(n, dtype=bool) if late is None else late
         self._going: NDArray[np.intp] | None = None  # the runs that are stepped; None: all
         self._lost = False  # whether a run has just diverged
-        self._read_between, self._read_late = (
-            Call(read_wrench, self._reading, self._tare, GIVEN, self.wrench_sub, ...)
-            for _ in range(2)
-        )
-        self._read_history = Call(read_history, self._history, self._tare, self.wrench_sub)
-        self._seen = mover.observing(self._qpos, self._qvel, SPEED_LIMIT, self.diverged)
-        self._seen_and_looked = together(self._seen, *self.contacts.looking, telling=0)
+        self._read_history = bound(_read_history, self._history, self._tare, self.wrench_sub)
         # pose and twist of A in W, and those of P if it moves
         self._sides = (self.pose_act, self.twist_act)
         if self.moves_passive:
             self._sides = (mover.place_A, mover.motion_A, mover.place_P, mover.motion_P)
-        met = self.contacts.meeting(*self._sides) if self.contacts.written else []
-        self._seen_and_met = together(self._seen, *met, telling=0) if met else self._meet
 
     def _rest_readings(self) -> Array:
         """``(n, 6)`` the sensor's reading at rest; zero if the sensor moves, whose load is then
@@ -134,11 +126,11 @@ class ServoTracking:
         self.mover.settle(pose, twist, self._qpos, self._qvel)
         self._ticks[0] = 0
         self.contacts.reset()
-        self._seen()
+        self._see()
         if self.contacts.written:
             if self.contacts.stage != NONE:
                 self.batch.forward(self._going, stage=self.contacts.stage)
-            self._seen_and_met()
+            self._meet()
         self.batch.forward()
         self.wrench_sub[:] = 0.0
         self._read(self._all, self.substeps - 1)
@@ -162,14 +154,14 @@ class ServoTracking:
         forward evaluation gives that of the last instant.
         """
         if self._stepwise:
-            self._lost |= self._seen_and_met()
+            self._lost |= self._meet()
         for s in range(1, self.substeps):
             self._step(s)
             if self._stepwise:
                 self._read(self._all, s - 1)
-                self._lost |= self._seen_and_met()
+                self._lost |= self._meet()
         if not self._stepwise:
-            self._read_history.on()()
+            self._read_history()
         if self._prompt.size:
             if self._stepwise:
                 self.batch.forward(self._groups[0][0])
@@ -206,21 +198,24 @@ class ServoTracking:
         if self.load is not None:
             self.load.read(self._sensordata, self.mover.place_P, runs, self.wrench_sub, sub)
         else:
-            (self._read_late if sub == self.substeps - 1 else self._read_between).on(runs)(sub)
+            # MuJoCo's sensors give the wrench that the parent exerts on the child
+            # (tests/sensor/test_force_sensor.py hangs a known weight on one)
+            self.wrench_sub[runs, sub] = self._tare[runs] - self._reading[runs]
+
+    def _see(self) -> bool:
+        """Read the state; returns whether a run has just diverged."""
+        return self.mover.observe(self._qpos, self._qvel, SPEED_LIMIT, self.diverged)
 
     def _meet(self) -> bool:
-        """Read the state, and evaluate the contact where not all of it is compiled."""
-        lost = self._seen()
+        """The same, and evaluate the contact."""
+        lost = self._see()
         if self.contacts.written:
             self.contacts.meet(*self._sides)
         return lost
 
     def _observe(self) -> None:
-        if self._stepwise:
-            lost = self._lost
-            self.contacts.look()
-        else:
-            lost = self._seen_and_looked()
+        lost = self._lost if self._stepwise else self._see()
+        self.contacts.look()
         if lost:
             self._lost = False
             self._leave_out()
@@ -284,3 +279,26 @@ def _cause(m: mujoco.MjModel, qpos: Array, qvel: Array) -> str:
     )
     unit = "rad/s" if turns else "m/s"
     return f"{joint.name} moves at {qvel[dof]:.3g} {unit} (limit {SPEED_LIMIT:g})"
+
+
+@njit(cache=True)
+def _read_history(history, tare, wrench_sub):
+    """Fill ``wrench_sub[:, :-1]`` from the histories of the two sensors, the last m readings of
+    each.
+
+    A tick's m steps leave readings at t_k, t_k + dt, ..; the first is already in the wrench of the
+    tick before. MuJoCo keeps one ring
+    buffer per sensor: user value, cursor of the newest, m times, m values of 3.
+    """
+    m = wrench_sub.shape[1]
+    size = 2 + 4 * m
+    for i in range(history.shape[0]):
+        for part in range(2):
+            start = part * size
+            newest = int(history[i, start + 1])
+            for s in range(m - 1):
+                slot = (newest - (m - 2 - s)) % m
+                for j in range(3):
+                    wrench_sub[i, s, 3 * part + j] = (
+                        tare[i, 3 * part + j] - history[i, start + 2 + m + 3 * slot + j]
+                    )

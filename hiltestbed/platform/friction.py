@@ -23,13 +23,12 @@ s'/2 - b. The bias loop keeps b constant, so that by virtual work the friction o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.frames import Array
 
 STEPS = 0.25  # fraction of m/dt^2: the stiffest bristle that a physics step can resolve
@@ -72,7 +71,6 @@ def _act(numbers, dt, axes, inputs, qvel, bristles, ctrl):
             ctrl[i, inputs[j]] -= force
 
 
-@njit(cache=True)
 def _settle(numbers, axes, qvel, bristles):
     """Set the bristles to their steady state at the speeds ``qvel``; at rest they are unloaded."""
     for i in range(qvel.shape[0]):
@@ -114,14 +112,14 @@ class DriveFriction:
         self.numbers = np.concatenate([law, bristle[..., None], damper[..., None]], axis=2)
         self._axes, self._dt = np.asarray(axes), dt
         self.bristles = np.zeros((*law.shape[:2], 2))
-        self._act = Call(
+        self._acted = Call(
             _act, self.numbers, dt, self._axes, np.asarray(inputs), GIVEN, self.bristles, GIVEN
         )
 
     def settle(self, qvel: Array) -> None:
         """Start in the steady state at the speeds ``qvel`` (n, nv)."""
-        _settle(self.numbers, self._axes, qvel, self.bristles)
+        interpreted(_settle)(self.numbers, self._axes, qvel, self.bristles)
 
-    def acting(self, qvel: Array, ctrl: Array) -> Callable[[], None]:
-        """Call that subtracts a step's friction from the inputs ``ctrl`` (n, nu)."""
-        return self._act.on(qvel, ctrl)
+    def act(self, qvel: Array, ctrl: Array) -> None:
+        """Subtract a step's friction from the inputs ``ctrl`` (n, nu)."""
+        self._acted.on(qvel, ctrl)()

@@ -16,7 +16,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import bound
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array, pose_step, rotate_back, twist_between
@@ -27,7 +27,6 @@ from hiltestbed.platform.facilities.composed import TOOL, facility_model
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.response import ResponsePath
 from hiltestbed.platform.response import PlatformResponse
-from hiltestbed.sensor.readout import read_wrench
 
 if TYPE_CHECKING:
     from hiltestbed.contact.contacts import AppliedForce
@@ -38,12 +37,6 @@ if TYPE_CHECKING:
 def _slope(pose_before, pose_now, h, twist):
     for i in range(pose_now.shape[0]):
         twist_between(pose_before[i], pose_now[i], h, twist[i])
-
-
-@njit(cache=True)
-def _back(pose, twist, h, out):
-    for i in range(pose.shape[0]):
-        pose_step(pose[i], twist[i], -h, out[i])
 
 
 class PlacedBody(NamedTuple):
@@ -142,7 +135,6 @@ class IdealTracking:
             else None
         )
         self._integrated = self.contacts.mount.moves or structure.sides.moving
-        self._tare, self._all = np.zeros((n, 6)), np.arange(n)  # there is no gravity
         self._goal = np.zeros((n, 7))
         # poses (m, n, 7), twists (m, n, 6) of a tick, if given
         self._way: tuple[Array, Array] | None = None
@@ -171,7 +163,8 @@ class IdealTracking:
         self.batch.reset(stage=0)
         self._ticks[0], self._way = 0, None
         self.pose_act[:], self.twist_act[:] = pose, twist
-        _back(self.pose_act, self.twist_act, self.tick, self._before)
+        for before, at, rate in zip(self._before, pose, twist, strict=True):
+            interpreted(pose_step)(at, rate, -self.tick, before)
         self.contacts.reset()
         self._along[:, :] = self.pose_act[:, None, :3]
         if self.response is not None:
@@ -179,7 +172,7 @@ class IdealTracking:
         self.wrench_sub[:] = 0.0
         self._place(self.substeps)
         self.batch.forward()
-        read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
+        self._read(-1)
         self._conclude()
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
@@ -230,7 +223,7 @@ class IdealTracking:
         for s in range(1, self.substeps + 1):
             self._place(s)
             self.batch.forward()
-            read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 1)
+            self._read(s - 1)
 
     def _run(self) -> None:
         """Integrate mount and moving parts: a step gives the wrench at its start."""
@@ -243,10 +236,14 @@ class IdealTracking:
             if push is not None:
                 push[:] = 0.0
             if s > 1:
-                read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 2)
+                self._read(s - 2)
             self._place(s)
         self.batch.forward()
-        read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
+        self._read(-1)
+
+    def _read(self, s: int) -> None:
+        """The wrench at substep ``s``; there is no gravity."""
+        self.wrench_sub[:, s] = 0.0 - self._reading
 
     def _accelerate(self, s: int, push: Array) -> None:
         """Accelerate A in step ``s`` by ``push`` (n, 6), so that its moving parts react to it."""

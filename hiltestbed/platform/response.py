@@ -238,7 +238,7 @@ class PlatformResponse:
 
 
 @njit(cache=True)
-def _ring_at(ring, axis, at):
+def ring_at(ring, axis, at):
     """The command at the (fractional) tick ``at``, linear between ticks."""
     first = math.floor(at)
     part = at - first
@@ -265,8 +265,8 @@ def _answered(ring, sums, step, axis, at, h):
     """Output of the packed ``step`` response at the (fractional) tick ``at``; exact."""
     n, most = int(step[0]), (len(step) - 1) // 2
     if n == 0:
-        return _ring_at(ring, axis, at)
-    out = step[1 + most] * _ring_at(ring, axis, at - step[1] / h)
+        return ring_at(ring, axis, at)
+    out = step[1 + most] * ring_at(ring, axis, at - step[1] / h)
     earlier = _sum_at(ring, sums, axis, at - step[1] / h, h)
     for i in range(n - 1):
         later = _sum_at(ring, sums, axis, at - step[2 + i] / h, h)

@@ -147,7 +147,13 @@ def condition(i, e, w, t, noise, memory, out):
 @njit(cache=True)
 def filters(lag, leak):
     """Whether a low-pass or a high-pass acts: the reading then depends on the whole tick."""
-    return np.any(lag[:, 0] < 1.0) or np.any(leak[:, 0] < 1.0)
+    for s in range(lag.shape[0]):
+        if lag[s, 0] < 1.0:
+            return True
+    for s in range(leak.shape[0]):
+        if leak[s, 0] < 1.0:
+            return True
+    return False
 
 
 @njit(cache=True)

@@ -84,7 +84,6 @@ class Sensors:
         late = _Delay(self.ring, self._delay_steps, self._jitter_steps, self._jitter, arrived)
         chain = (self.numbers.elements(), memory, self.reading)
         self._read = Call(_read, ..., self.tick, GIVEN, late, self._noise, *chain)
-        self._feel = Call(_feel, ..., self.substeps, self.ring, GIVEN)
 
     def read(self, k: int, wrench_sub: Array) -> Array:
         """The reading (n, 6) at t_k.
@@ -103,7 +102,7 @@ class Sensors:
 
     def feel(self, k: int, wrench: Array) -> None:
         """Supply the wrench (n, 6) at t_k that :meth:`read` did not know: of `late` runs."""
-        self._feel.on(wrench)(k)
+        self.ring[:, k * self.substeps % self.ring.shape[1]] = wrench
 
     def _draw(self) -> None:
         self._next_block += BLOCK
@@ -121,14 +120,6 @@ def _read(k, h, sub, late, noise, e, memory, out):
     _arrive(k, sub, late, e.lag, e.leak)
     for i in range(sub.shape[0]):
         condition(i, e, late.arrived[i], k * h, noise[i, row], memory[i], out[i])
-
-
-@njit(cache=True)
-def _feel(k, substeps, ring, wrench):
-    slot = k * substeps % ring.shape[1]
-    for i in range(ring.shape[0]):
-        for j in range(6):
-            ring[i, slot, j] = wrench[i, j]
 
 
 @njit(cache=True)

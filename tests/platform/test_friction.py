@@ -47,7 +47,7 @@ class Sled:
 
     def rub(self) -> None:
         self.applied[:] = 0.0
-        self.friction.acting(self.v, self.applied)()
+        self.friction.act(self.v, self.applied)
 
     def push(self, force: Array | float) -> None:
         self.rub()

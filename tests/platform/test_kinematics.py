@@ -12,7 +12,7 @@ from hiltestbed.errors import InputError
 from hiltestbed.platform.facilities.facility import MOUNT, MOUNT_HOME, compiled
 from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.plant import Plant
-from hiltestbed.platform.pss33.kinematics import inverse, jacobian, shipped_limbs
+from hiltestbed.platform.pss33.kinematics import jacobian, shipped_limbs, slider
 from hiltestbed.platform.pss33.settings import Pss33
 from tests.platform.halls import facility, poses
 from tests.platform.rigs import scenario
@@ -26,7 +26,8 @@ def test_the_workspace_is_within_the_sliders_stroke() -> None:
     m = load("pss33/pss33").compile()
     stroke = m.joint("slider_0").range[1]
     sliders = np.empty((2000, 6))
-    inverse(LIMBS, poses(2000, 0.25, 10.0), sliders)
+    for row, pose in zip(sliders, poses(2000, 0.25, 10.0), strict=True):
+        row[:] = [slider(limb, pose, np.empty(3)) for limb in LIMBS]
     assert np.abs(sliders).max() < stroke
 
 

@@ -19,8 +19,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import GIVEN, Call, Joined, bound
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.bound import GIVEN, Call, bound
+from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.platform.facilities.inverse_dynamics import drive_forces, joint_forces, weights
@@ -212,21 +212,14 @@ class Drives(Mover):
 
     # What is common to all drives.
 
-    @cached_property
-    def _pushing(self) -> Call | Joined:
-        """The drives' inputs and their friction, as one call with the step's number."""
-        friction = self._friction
-        if friction is None:
-            return self._pushed
-        return Joined(lambda q, v, u: [self._pushed.on(q, v, u), friction.acting(v, u)])
-
     def push(self, sub: int, qpos: Array, qvel: Array, inputs: Array) -> None:
-        self._pushing.on(qpos, qvel, inputs)(sub)
+        self._pushed.on(qpos, qvel, inputs)(sub)
+        if self._friction is not None:
+            self._friction.act(qvel, inputs)
 
     def release(self) -> None:
         """Switch off friction and encoder quantisation, so that measurements are linear."""
         self._friction, self.encoder[:] = None, 0.0
-        self.__dict__.pop("_pushing", None)
 
     def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
         """Write ``poses`` and ``twists`` of the tools in W (and the prescribed joints) for the
@@ -244,7 +237,7 @@ class Drives(Mover):
         """
         lag = self.lag
         for i in range(len(pose)):
-            pose_step(pose[i], twist[i], -lag[i], self._start[i])
+            interpreted(pose_step)(pose[i], twist[i], -lag[i], self._start[i])
         self.allocate(self._start, twist, self._unaccelerated, 0.0)
         for i in range(len(pose)):
             found = self.kinematics.complaints(self.poses[i], self.held[i])
@@ -292,11 +285,8 @@ class Drives(Mover):
         The velocity at the command is that of the tick plus half a tick of its acceleration: a
         semi-implicit velocity belongs to the middle of its tick.
         """
-        self._aimed.on(pose_cmd, twist_cmd, accel_cmd)(0.5 * self.tick)
-
-    @cached_property
-    def _aimed(self) -> Joined:
-        return Joined(lambda *command: [self._allocated.on(*command), self._solve])
+        self.allocate(pose_cmd, twist_cmd, accel_cmd, 0.5 * self.tick)
+        self._solve()
 
     def follow(self, pose: Array, twist: Array) -> None:
         """Joints for A at ``pose`` (n, 7) with ``twist`` (n, 6) under exact tracking."""

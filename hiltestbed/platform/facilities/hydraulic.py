@@ -102,26 +102,10 @@ def _push(legs, plan, sub, qpos, qvel, ctrl):
             ctrl[i, legs.inputs[j]] = area * x[PRESSURE]
 
 
-@njit(cache=True)
-def _rest(numbers, load, axes, qvel, state):
-    """Pressures that support the ``load`` (n, J), and the valve openings for leakage and speed."""
-    for i in range(load.shape[0]):
-        p = numbers[i]
-        for j in range(load.shape[1]):
-            x = state[i, j]
-            pressure = load[i, j] / p[AREA]
-            x[PRESSURE] = x[SLOW] = pressure
-            flow = p[LEAKAGE] * pressure
-            x[TRIM] = opening(flow, pressure, p)
-            x[SPOOL] = opening(flow + p[AREA] * qvel[i, axes[1, j]], pressure, p)
-            x[SPOOL_RATE] = 0.0
-
-
-@njit(cache=True)
-def opening(flow, pressure, p):
+def _opening(flow: Array, pressure: Array, p: Array) -> Array:
     """Valve opening [-] for a flow [m^3/s] against a load pressure [Pa]."""
-    drop = 1.0 - math.copysign(pressure, flow * pressure) / p[SUPPLY]
-    return flow / (p[FLOW] * math.sqrt(max(drop, 1e-6)))
+    drop = 1.0 - np.copysign(pressure, flow * pressure) / p[SUPPLY]
+    return flow / (p[FLOW] * np.sqrt(np.maximum(drop, 1e-6)))
 
 
 def held_over(bandwidth: float, damping_ratio: float, dt: float) -> Array:
@@ -167,7 +151,13 @@ class Hydraulic(Drives):
         )
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        _rest(self._legs.numbers, self.load, self._axes, qvel, self.cylinders)
+        p = self._legs.numbers.T[..., None]
+        pressure = self.load / p[AREA]
+        flow = p[LEAKAGE] * pressure
+        moving = flow + p[AREA] * qvel[:, self._axes[1]]
+        x = np.moveaxis(self.cylinders, 2, 0)
+        x[PRESSURE], x[SLOW], x[SPOOL_RATE] = pressure, pressure, 0.0
+        x[TRIM], x[SPOOL] = _opening(flow, pressure, p), _opening(moving, pressure, p)
         super().rest(qpos, qvel)
 
     @cached_property

@@ -11,10 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
 
+from hiltestbed.compiled.jit import interpreted
 from hiltestbed.frames import Array, pose_step, twist_between
 from hiltestbed.platform.facilities.motion import move, place, scratch, tool_pose, tool_twist
 from hiltestbed.platform.facilities.newton import CLOSE, ITERATIONS, equations, newton, rates
@@ -60,8 +62,7 @@ class Kinematics:
     Attributes:
         home: (nq,) joint positions. axes: the driven joints. q, v: (J,) their addresses.
             joints_home: (J,) at home.
-        tools: names of the sites whose poses are commanded. home_poses: (nt, 7) of the tools in W
-            at home.
+        tools: names of the sites whose poses are commanded.
     """
 
     def __init__(
@@ -93,7 +94,11 @@ class Kinematics:
         )
         self._travel = list(_travels(model, axes, locked))
         self._names = [name or f"joint {j}" for j, name in enumerate(every)]
-        self.home_poses = self.poses(self.home)
+
+    @cached_property
+    def home_poses(self) -> Array:
+        """(nt, 7) poses of the tools in W at home."""
+        return self.poses(self.home)
 
     @property
     def held_home(self) -> Array:
@@ -133,7 +138,7 @@ class Kinematics:
         begin, begin_values = self.poses(q), q[self._held]
         twists = np.empty((len(goal), 6))
         for t in range(len(goal)):
-            twist_between(begin[t], goal[t], 1.0, twists[t])
+            interpreted(twist_between)(begin[t], goal[t], 1.0, twists[t])
         span = max(
             float(np.abs(twists).max(initial=0.0)),
             float(np.abs(values - begin_values).max(initial=0.0)),
@@ -142,7 +147,7 @@ class Kinematics:
         at = np.empty_like(goal)
         for s in range(1, steps + 1):
             for t in range(len(goal)):
-                pose_step(begin[t], twists[t], s / steps, at[t])
+                interpreted(pose_step)(begin[t], twists[t], s / steps, at[t])
             if s == steps:
                 at[:] = goal
             before = q.copy()

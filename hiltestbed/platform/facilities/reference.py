@@ -59,13 +59,6 @@ class TickPlan(NamedTuple):
 
 
 @njit(cache=True)
-def cubic(t, s0, v0, s1, v1, h):
-    """The cubic between two positions and velocities, at the fraction ``t`` of ``h`` [s]."""
-    a = s1 - s0
-    return s0 + t * (h * v0 + t * ((3.0 * a - h * (2.0 * v0 + v1)) + t * (h * (v0 + v1) - 2.0 * a)))
-
-
-@njit(cache=True)
 def sample(cycles, plan, i):
     """Take the goal of run ``i`` as the command of the cycle that begins."""
     size = plan.ring.shape[1]
@@ -91,8 +84,10 @@ def plan_tick(cycles, plan, i):
         for j in range(reference.shape[0]):
             s0, s1 = span[i, START, 0, j], span[i, LEAVE, 0, j]
             steps[s, 0, j] = reference[j]
-            if cycles.feed[i]:
-                now = cubic(t, s0, span[i, START, 1, j], s1, span[i, LEAVE, 1, j], cycle * h)
+            if cycles.feed[i]:  # the cubic between two positions and velocities
+                a, b, c = s1 - s0, span[i, START, 1, j], span[i, LEAVE, 1, j]
+                bend = (3.0 * a - cycle * h * (2.0 * b + c)) + t * (cycle * h * (b + c) - 2.0 * a)
+                now = s0 + t * (cycle * h * b + t * bend)
                 rate = (now - reference[j]) / dt
                 steps[s, 1, j] = velocity[j]
                 steps[s, 2, j] = (rate - velocity[j]) / dt

@@ -25,6 +25,7 @@ from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_exp, rotation_vectors
 from hiltestbed.platform.facilities.settings import ResponseSettings
+from hiltestbed.platform.response import ring_at
 
 
 def six(value: float | Sequence[float]) -> tuple[float, ...]:
@@ -52,18 +53,10 @@ def advance_matrices(order: int, w: float, zeta: float, gain: float, dt: float) 
 
 
 @njit(cache=True)
-def _at(ring, axis, when):
-    first = math.floor(when)
-    part = when - first
-    low = ring[int(first) % ring.shape[0], axis]
-    return low if part == 0.0 else low + part * (ring[int(first + 1) % ring.shape[0], axis] - low)
-
-
-@njit(cache=True)
 def _piece(ring, axis, begin, end, e, x, state):
     """Advance one axis while its delayed command is linear, from ``begin`` to ``end`` [ticks]."""
-    before = _at(ring, axis, begin)
-    rise = _at(ring, axis, end) - before
+    before = ring_at(ring, axis, begin)
+    rise = ring_at(ring, axis, end) - before
     for c in range(3):
         x[c] = e[c, 3] * before + e[c, 4] * rise
         for d in range(3):

@@ -67,20 +67,14 @@ SLICE = 1e-4  # [s] interval of the difference quotient of the allocated poses
 
 
 @njit(cache=True)
-def far(gap):
-    """The rail's share of a gap [m], and its slope."""
-    u = (gap - HOLD) / (CLEAR - HOLD)
-    if u <= 0.0:
-        return 0.0, 0.0
-    if u < 1.0:
-        return (CLEAR - HOLD) * (u * u * u - 0.5 * u**4), u * u * (3.0 - 2.0 * u)
-    return 0.5 * (CLEAR - HOLD) + gap - CLEAR, 1.0
-
-
-@njit(cache=True)
 def share_out(pose, share, active, passive):
     """Poses (7,) of A and P in W for that of A in P; returns the rail's position [m]."""
-    ride, slope = far(-pose[2])
+    gap, u = -pose[2], (-pose[2] - HOLD) / (CLEAR - HOLD)
+    ride, slope = 0.0, 0.0  # the rail's share of the gap [m], and its slope
+    if u >= 1.0:
+        ride, slope = 0.5 * (CLEAR - HOLD) + gap - CLEAR, 1.0
+    elif u > 0.0:
+        ride, slope = (CLEAR - HOLD) * (u * u * u - 0.5 * u**4), u * u * (3.0 - 2.0 * u)
     r, v = np.empty(3), np.empty(3)
     rotation_vector(pose[3:7], r)
     for i in range(3):

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.frames import Array, quat_exp, rotate
 from hiltestbed.platform import model
 
@@ -99,7 +99,6 @@ def slider(leg, pose, arm):
     return pose[2] + arm[2] - leg[2] + math.sqrt(max(leg[6] * leg[6] - dx * dx - dy * dy, 0.0))
 
 
-@njit(cache=True)
 def inverse(legs, poses, sliders):
     """``sliders`` (n, 3) [m] at the poses ``(n, 7)`` of P in W."""
     arm = np.empty(3)
@@ -128,7 +127,6 @@ def jacobian(legs, pose, sliders, out):
         out[j, 5] = (arm[0] * d[1] - arm[1] * d[0]) / d[2]
 
 
-@njit(cache=True)
 def revolute(leg, pose, arm):
     """Angle [rad] of the leg's revolute joint, 0 at home; ``arm`` (3,) is overwritten."""
     s = slider(leg, pose, arm)
@@ -177,8 +175,8 @@ def write_joints(m: mujoco.MjModel, pose: Array, q: Array, prefix: str = "") -> 
     """Write the platform's joint positions at the ``pose`` (7,) of P in W to ``q`` (nq,)."""
     upper, arm = Upper.load(), np.empty(3)
     for j, leg in enumerate(upper.legs):
-        q[m.joint(f"{prefix}slider_{j}").qposadr[0]] = slider(leg, pose, arm)
-        q[m.joint(f"{prefix}revolute_{j}").qposadr[0]] = revolute(leg, pose, arm)
+        q[m.joint(f"{prefix}slider_{j}").qposadr[0]] = interpreted(slider)(leg, pose, arm)
+        q[m.joint(f"{prefix}revolute_{j}").qposadr[0]] = interpreted(revolute)(leg, pose, arm)
     rotate(pose[3:7], np.array([0.0, 0.0, upper.shape[ABOVE]]), arm)
     free = int(m.joint(f"{prefix}platform").qposadr[0])
     q[free : free + 3] = pose[:3] + arm

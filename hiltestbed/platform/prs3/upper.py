@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.frames import Array, pose_step, twist_between
 from hiltestbed.platform.prs3.allocation import share
 from hiltestbed.platform.prs3.drives import UpperDrives, UpperMotion
@@ -73,7 +73,6 @@ def _plan(upper, h, settle, pose, diverged, motion):
     return busy
 
 
-@njit(cache=True)
 def _begin(shape, pose, twist, h, motion):
     """Coordinates, rates, pose and twist of P for ports that have moved uniformly."""
     x, planned = motion.x, motion.planned
@@ -129,12 +128,12 @@ class MovingUpper:
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at the coordinates for the relative ``pose`` (n, 7) and ``twist`` (n, 6)."""
         upper, motion = Upper.load(), self.motion
-        _begin(upper.shape, pose, twist, self.tick, motion)
+        interpreted(_begin)(upper.shape, pose, twist, self.tick, motion)
         motion.speed[:] = motion.rate
         motion.away[:] = motion.was_away[:] = motion.x.any(axis=1)
         motion.still[:] = np.where(motion.away, 0, self._settle + 1)
         motion.reached[:], motion.twist[:] = motion.planned, motion.slope
-        inverse(upper.legs, motion.planned, motion.sliders)
+        interpreted(inverse)(upper.legs, motion.planned, motion.sliders)
         motion.slid[:] = motion.sliders
         self.residual[:] = 0.0
         if self.drives:

@@ -21,7 +21,7 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.config.models import load
 from hiltestbed.frames import Array, rotate, rotate_back, rotation_matrix
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics, pose_in_words
@@ -45,15 +45,6 @@ def slider(limb, pose, arm):
         along += limb[3 + i] * d
         across += d * d
     return along - math.sqrt(max(limb[9] * limb[9] - (across - along * along), 0.0))
-
-
-@njit(cache=True)
-def inverse(limbs, pose, sliders):
-    """``sliders`` (n, 6) [m] at the poses ``(n, 7)`` of A in W."""
-    arm = np.empty(3)
-    for i in range(pose.shape[0]):
-        for j in range(6):
-            sliders[i, j] = slider(limbs[j], pose[i], arm)
 
 
 @njit(cache=True)
@@ -121,7 +112,6 @@ def joints(limb, pose, twist, q, v):
     v[2] = r1 / max(math.cos(q[2]), STEEPEST)
 
 
-@njit(cache=True)
 def _all_joints(limbs, adr, centre, pose, twist, q, v):
     """Positions ``q`` (nq,) and rates ``v`` (nv,) of all joints in MuJoCo's order, at the pose (7,)
     and twist (6,) of A.
@@ -209,7 +199,7 @@ class SliderKinematics(Kinematics):
     ) -> tuple[Array, Array]:
         q, v = self.home.copy(), np.zeros(len(self.tree.armature))
         pose, twist = (np.ascontiguousarray(np.ravel(x), dtype=float) for x in (poses, twists))
-        _all_joints(self.limbs, self.addresses, self.centre, pose, twist, q, v)
+        interpreted(_all_joints)(self.limbs, self.addresses, self.centre, pose, twist, q, v)
         return q, v
 
     def complaints(self, poses: Array, held: Array | None = None) -> list[str]:
