@@ -36,7 +36,9 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 # options of one benchmark only
-ONLY = dict.fromkeys(("noise", "docking", "computing", "minutes", "workers"), "diagnosis")
+ONLY: dict[str, str] = dict.fromkeys(
+    ("noise", "docking", "computing", "minutes", "workers"), "diagnosis"
+)
 ONLY |= {"data": "real", "enter": "hildock"}
 
 
