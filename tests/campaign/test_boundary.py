@@ -12,6 +12,7 @@ from hiltestbed.campaign.figures import boundary_applies as applies
 from hiltestbed.campaign.figures import boundary_margin as margin
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.simulation import run_batch
+from tests.slow import SLOW
 
 
 @pytest.mark.parametrize("zeta", [0.05, 0.1, 0.2, 0.4])
@@ -71,6 +72,7 @@ def test_the_loop_returns_the_speed_it_came_with_on_the_boundary() -> None:
         assert abs(math.log(run.summary["cor"])) < 0.004 * 0.5 * math.pi * 10.0 * delay
 
 
+@SLOW
 def test_a_contact_that_stays_closed_grows_past_its_boundary_and_dies_before_it() -> None:
     """Latched, so that it pulls too: 1 % of delay on either side tells, up to w tau = 0.5."""
     zeta = 0.25

@@ -20,14 +20,14 @@ from hiltestbed import plugins
 from hiltestbed.compensation.settings import FORCE_METHODS
 from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.contact.settings import MECHANISMS
+from hiltestbed.diagnosis.investigate import candidates_of
 from hiltestbed.effects import EFFECTS
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.scenario import scenario_from
-from tests.diagnosis.recorded import recorded
+from tests.diagnosis.made import SCALES, contact_link, effect, explained
 from tests.running import run
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
-IDEAL = {"rig.platform.tracking": "ideal"}
 
 
 pytestmark = pytest.mark.usefixtures("tables_as_shipped")
@@ -64,16 +64,16 @@ def test_an_effect_acts_as_its_equation_says() -> None:
     assert run(worn).summary["cor"] == run(other).summary["cor"]
 
 
-def test_a_diagnosis_names_an_effect_of_the_users(tmp_path: Path) -> None:
+def test_a_diagnosis_names_an_effect_of_the_users() -> None:
     """One number moves stiffness and damping together: the worn pad explains with one what two
     built-in effects need two for.
     """
     plugins.load([str(EXAMPLES / "worn_pad.py")])
-    found = hiltestbed.diagnose(recorded(tmp_path, [{"kind": "contact.worn_pad", "wear": 0.2}]))
-    assert found.finding.verdict == "named"
-    (cause,) = found.finding.causes
-    assert cause.effect == "contact.worn_pad"
-    assert cause.parameters["wear"].estimate == pytest.approx(0.2, abs=0.01)
+    assert "contact.worn_pad" in {c.kind for c in candidates_of(SCALES, ("contact",))}
+    kinds = ("contact.worn_pad", "contact.stiffness", "contact.damping")
+    found = explained(contact_link([effect("contact.worn_pad", wear=0.2)]), *kinds)
+    assert found.kinds == kinds[:1]
+    assert found.causes[0].estimates[0].value == pytest.approx(0.2, abs=0.01)
 
 
 def test_a_compensation_takes_the_delay_out(
@@ -93,7 +93,7 @@ def test_a_compensation_takes_the_delay_out(
 def test_the_benchmark_takes_a_compensation_of_the_users() -> None:
     from hiltestbed.bench.contacts import bounce, grid
     from hiltestbed.bench.contenders import CONTENDERS, contenders
-    from hiltestbed.bench.cor import measure, reference_scenario
+    from hiltestbed.bench.cor import _takes_part, measure, reference_scenario
 
     plugins.load([str(EXAMPLES / "slope_lead.py")])
     mine = [c for c in contenders() if c not in CONTENDERS]
@@ -102,6 +102,11 @@ def test_the_benchmark_takes_a_compensation_of_the_users() -> None:
     reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in contacts])
     (record,) = measure(mine[0], contacts, reference)
     assert record["stable"]
+    # in every column, also where it is quick; a built-in one that leads in nothing is left out
+    for condition in (("ideal", "exact"), ("ideal", "off"), ("servo", "exact")):
+        assert _takes_part(mine[0], condition, quick=True)
+    dead_zone = next(c for c in CONTENDERS if c.name == "dead_zone")
+    assert not _takes_part(dead_zone, ("ideal", "off"), quick=True)
 
 
 def test_a_method_of_the_users_that_raises_is_left_out_and_a_built_in_one_is_not() -> None:
@@ -273,20 +278,6 @@ def test_a_scenario_that_needs_a_plugin_says_what_is_there() -> None:
         )
     assert "slope_lead" not in FORCE_METHODS
     assert "three_pads" not in MECHANISMS
-
-
-def test_the_benchmark_enters_a_method_of_the_users_in_every_column() -> None:
-    """Also where it is quick: delay off and servo, and the random rigs; a built-in one that leads
-    in nothing is left out there.
-    """
-    from hiltestbed.bench.contenders import contenders
-    from hiltestbed.bench.cor import _takes_part
-
-    plugins.load([str(EXAMPLES / "slope_lead.py")])
-    by_name = {m.name: m for m in contenders()}
-    for condition in (("ideal", "exact"), ("ideal", "off"), ("servo", "exact")):
-        assert _takes_part(by_name["slope_lead"], condition, quick=True)
-    assert not _takes_part(by_name["dead_zone"], ("ideal", "off"), quick=True)
 
 
 def test_a_run_that_a_plugin_made_says_which_one_it_needs(
