@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from hiltestbed.report.table import print_comparison, print_run
+from hiltestbed.report.table import print_comparison
 
 NAMES = ("late", "right", "with-a-long-name-of-a-run")
 ROWS = [
@@ -32,27 +30,3 @@ def test_a_comparison_breaks_no_word(
     words = printed.split()
     for cell in (*NAMES, *(cell for row in ROWS for cell in row)):
         assert all(word in words or f"{word}:" in words for word in cell.split())
-
-
-@pytest.mark.parametrize(
-    ("ratio", "shown"), [(-1e-6, "+0.0 %"), (0.0, "+0.0 %"), (1e-6, "+0.0 %"), (-0.02, "-2.0 %")]
-)
-def test_nought_has_no_minus(ratio: float, shown: str, capsys: pytest.CaptureFixture[str]) -> None:
-    summary = {
-        "name": "run",
-        "status": "completed",
-        "outcome": "rebound",
-        "contacts": 1,
-        "captured_at": None,
-        "cor": 0.9,
-        "cor_reference": 0.9,
-        "cor_log_error": ratio,
-        "energy_generated": 0.0,
-        "peak_force": 1.0,
-        "contact_duration": 0.1,
-        "delay_ledger": [],
-        "identification": {},
-        "timing": {"real_time_factor": None, "wall": 1.0, "ticks": 10},
-    }
-    print_run(summary, Path("runs/run"))
-    assert shown in capsys.readouterr().out
