@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hiltestbed.config.check import json_schema
-from hiltestbed.config.keys import Key, at, keys_of, search, text_of
+from hiltestbed.config.keys import Key, at, keys_of, search
 from hiltestbed.effects import EFFECTS
 from hiltestbed.errors import InputError
 from hiltestbed.platform.kinds import PLATFORMS
@@ -65,13 +65,3 @@ def test_a_search_takes_words_of_name_kind_and_meaning() -> None:
 def test_an_unknown_key_is_refused_with_the_nearest() -> None:
     with pytest.raises(InputError, match=r"'sensr\.delay'\); nearest: sensor\.delay"):
         at(KEYS, "sensr.delay")
-
-
-def test_a_key_that_kinds_share_in_the_same_words_is_said_once() -> None:
-    def key(kind: str, meaning: str) -> Key:
-        return Key("rig.speed", ("rig", kind), "number", "1", meaning)
-
-    text = text_of([key("arm", "Speed"), key("gantry", "Speed"), key("bearing", "Of the air")])
-    assert text.count("Speed") == 1
-    assert "rig.speed (kind: rig, kind: arm, gantry): number" in text
-    assert "rig.speed (kind: rig, kind: bearing): number" in text
