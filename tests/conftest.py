@@ -85,7 +85,7 @@ FIRST = (
     "replay/test_wrench.py",
     "replay/test_compensation.py",
     "bench/test_cor.py",
-    "bench/test_facilities.py",
+    "bench/test_benches.py",
     "identification/test_methods.py",
     "test_user_files.py",
     "test_stability.py",
