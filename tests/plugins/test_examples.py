@@ -1,6 +1,5 @@
 """The worked plugins under examples/plugins: found by --plugin and by an entry point, run, in the
-benchmark, and named by a diagnosis.
-"""
+benchmark, and named by a diagnosis; a registry whose modules cannot be imported says so."""
 
 from __future__ import annotations
 
@@ -8,7 +7,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from hiltestbed.contact.settings import MECHANISMS
 from hiltestbed.diagnosis.investigate import candidates_of
 from hiltestbed.effects import EFFECTS
 from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.plugins import Registry
 from hiltestbed.scenario import scenario_from
 from tests.diagnosis.made import SCALES, contact_link, effect, explained
 from tests.running import run
@@ -292,3 +292,49 @@ def test_a_run_that_a_plugin_made_says_which_one_it_needs(
     assert refused.returncode == 2
     assert f"give --plugin {plugin}" in refused.stderr
     assert call("compare", str(folder), str(folder), "--plugin", str(plugin))[0] == 0
+
+
+class Part:
+    """A base class."""
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A package of parts, the second of which needs a package that is not installed."""
+    package = tmp_path / "parts_of_a_test"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "first.py").touch()
+    (package / "second.py").write_text("import package_that_is_missing\n")
+    monkeypatch.setattr(plugins, "_REGISTRIES", list(plugins._REGISTRIES))
+    monkeypatch.syspath_prepend(tmp_path)
+    yield tmp_path
+    for name in [n for n in sys.modules if n.startswith(("parts_of_a", "package_that_is"))]:
+        del sys.modules[name]
+
+
+def test_the_missing_package_is_named_at_each_access(home: Path) -> None:
+    table = Registry("part", Part, ("parts_of_a_test",))
+    for access in (lambda: table["first"], lambda: list(table), lambda: len(table)) * 2:
+        with pytest.raises(ModuleNotFoundError, match="package_that_is_missing"):
+            access()
+    (home / "package_that_is_missing.py").touch()
+    assert len(table) == 0
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "raise RuntimeError('own words')",
+        "assert False, 'own words'",
+        "import sys; sys.exit('own words')",
+        "class Odd(Exception): pass\nraise Odd('own words')",
+        "import own_words",
+    ],
+)
+def test_a_plugin_that_fails_at_import_is_told_each_time(body: str, tmp_path: Path) -> None:
+    file = tmp_path / "own.py"
+    file.write_text(body)
+    for _ in range(2):
+        with pytest.raises(InputError, match=r"own\.py.*own.words"):
+            plugins.load([str(file)])
