@@ -20,7 +20,7 @@ from hiltestbed.diagnosis.result import Cause, Experiment, Finding, Parameter
 from hiltestbed.measured import MeasuredDataset, load_dataset
 from hiltestbed.scenario import scenario_from
 from hiltestbed.simulation import simulate
-from tests.slow import slow
+from tests.slow import SLOW, slow
 
 from .recorded import NOMINAL, recorded, written
 
@@ -96,6 +96,7 @@ def test_the_run_that_is_proposed_decides(
     assert value == pytest.approx(hidden["factor"], rel=5e-3)
 
 
+@SLOW
 def test_a_run_separates_by_as_much_as_is_said(tmp_path: Path) -> None:
     """Chi-square by which all runs refuse another hypothesis, fitted anew, is the square of the
     separation. The delay is true here: a damper in its place is refused less than the reverse.
