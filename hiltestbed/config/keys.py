@@ -34,31 +34,11 @@ class Key:
     meaning: str
 
     def __str__(self) -> str:
-        return self.written([self.kinds])
-
-    def written(self, kinds: Sequence[tuple[str, ...]]) -> str:
-        """The key with its meaning, for sections of these ``kinds`` that share it."""
-        said = [", ".join(f"kind: {kind}" for kind in one) for one in kinds if one]
-        where = f"{self.path} ({'; '.join(said)})" if said else self.path
-        if len(said) > 1:
-            *above, _ = kinds[0]
-            inner = ", ".join(one[-1] for one in kinds)
-            where = f"{self.path} ({', '.join(f'kind: {k}' for k in [*above, inner])})"
+        said = ", ".join(f"kind: {kind}" for kind in self.kinds)
+        where = f"{self.path} ({said})" if said else self.path
         word = "" if self.default == REQUIRED else "default "
         default = f"; {word}{self.default}" if self.default else ""
         return f"{where}: {self.takes}{default}\n    {self.meaning}"
-
-
-def text_of(keys: Sequence[Key]) -> str:
-    """The keys with their meanings, one that several kinds share in the same words once."""
-    shared: dict[tuple[object, ...], list[Key]] = {}
-    for key in keys:
-        same = (key.path, key.kinds[:-1], key.takes, key.default, key.meaning)
-        shared.setdefault(same, []).append(key)
-    return "\n".join(
-        alike[0].written(list(dict.fromkeys(key.kinds for key in alike)))
-        for alike in shared.values()
-    )
 
 
 def keys_of(schema: Mapping[str, Any]) -> Iterator[Key]:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.analysis.stability import stability
-from hiltestbed.config.check import check_file
+from hiltestbed.config.check import look_at
 from hiltestbed.config.gallery import shipped
 from hiltestbed.errors import InputError
 from hiltestbed.scenario import load_scenario
@@ -47,7 +47,7 @@ def test_a_name_that_no_file_system_takes_is_no_file(tmp_path: Path, key: str) -
     (tmp_path / "s.yaml").write_text(BUMPER.read_text())
     dataset = f"scenario: {names['scenario']}\nruns: [{{file: {names['file']}}}]\n"
     (tmp_path / "d.yaml").write_text(dataset)
-    _, faults = check_file(tmp_path / "d.yaml")
+    faults = look_at(tmp_path / "d.yaml").faults
     assert any("names no file" in str(fault) for fault in faults)
 
 

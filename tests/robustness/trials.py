@@ -99,14 +99,14 @@ def _stretch(node: Any, rng: Generator) -> None:
 
 def text(rng: Generator, folder: Path) -> str:
     """A scenario file with some bytes changed."""
-    from hiltestbed.config.check import check_file
+    from hiltestbed.config.check import look_at
     from hiltestbed.config.gallery import shipped
 
     files = sorted(shipped("scenarios").glob("*.yaml"))
     path = folder / "text.yaml"
     data = files[int(rng.integers(len(files)))].read_bytes()
     path.write_bytes(mutated(data, rng) if rng.random() < 0.4 else _mistyped(data, rng))
-    return REFUSED if check_file(path)[1] else SURVIVED
+    return REFUSED if look_at(path).faults else SURVIVED
 
 
 def _mistyped(data: bytes, rng: Generator) -> bytes:
