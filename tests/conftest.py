@@ -35,7 +35,6 @@ HERE = Path(__file__).parent
 # of glibc
 _TRIM = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 QUICK = (  # files and folders below tests
-    "campaign/test_designs.py",
     "campaign/test_schema.py",
     "campaign/test_sensitivity.py",
     "contact/surfaces/test_revolution.py",
@@ -85,7 +84,7 @@ FIRST = (
     "replay/test_wrench.py",
     "replay/test_compensation.py",
     "bench/test_cor.py",
-    "bench/test_facilities.py",
+    "bench/test_benches.py",
     "identification/test_methods.py",
     "test_user_files.py",
     "test_stability.py",

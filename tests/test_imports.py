@@ -1,5 +1,5 @@
-"""What imports what: no circle among the modules of the package as they are loaded, and none if
-imports for type checkers alone and those inside functions count as well.
+"""What imports what: no circle among the modules of the package, imports for type checkers alone and
+those inside functions included.
 """
 
 from __future__ import annotations
@@ -30,26 +30,6 @@ def modules() -> dict[str, Path]:
     return found
 
 
-def loaded_at_import(tree: ast.Module) -> Iterator[ast.Import | ast.ImportFrom]:
-    """Imports that run at load: not those of functions, nor for type checkers alone."""
-    waiting: list[ast.AST] = list(tree.body)
-    while waiting:
-        node = waiting.pop()
-        if isinstance(node, (ast.Import, ast.ImportFrom)):
-            yield node
-        elif isinstance(node, ast.If):
-            named = ast.unparse(node.test)
-            waiting += (
-                node.orelse if named.endswith("TYPE_CHECKING") else [*node.body, *node.orelse]
-            )
-        elif not isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)):
-            waiting += [
-                child
-                for child in ast.iter_child_nodes(node)
-                if isinstance(child, ast.stmt | ast.excepthandler)
-            ]
-
-
 def targets(
     node: ast.Import | ast.ImportFrom, known: dict[str, Path], importer: str
 ) -> Iterator[str]:
@@ -77,14 +57,22 @@ def every_import(tree: ast.Module) -> Iterator[ast.Import | ast.ImportFrom]:
             yield node
 
 
-def directly() -> dict[str, set[str]]:
-    """Each module to those that it names in an import of any kind."""
+def at_load(tree: ast.Module) -> Iterator[ast.Import | ast.ImportFrom]:
+    """Those that run when the module is loaded."""
+    yield from (node for node in tree.body if isinstance(node, (ast.Import, ast.ImportFrom)))
+
+
+def graph(imports, steps) -> dict[str, set[str]]:
+    """Each module to the ``steps`` to what its ``imports`` name."""
     known = modules()
-    trees = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in known.items()}
-    return {
-        name: {t for node in every_import(tree) for t in targets(node, known, name)} - {name}
-        for name, tree in trees.items()
-    }
+    out = {}
+    for name, path in known.items():
+        nodes = imports(ast.parse(path.read_text(encoding="utf-8")))
+        found = {
+            step for node in nodes for t in targets(node, known, name) for step in steps(name, t)
+        }
+        out[name] = found & set(known) - {name}
+    return out
 
 
 def circles(imported: dict[str, set[str]]) -> list[set[str]]:
@@ -99,30 +87,20 @@ def circles(imported: dict[str, set[str]]) -> list[set[str]]:
     return [one for one in found if len(one) > 1]
 
 
-def graph() -> dict[str, set[str]]:
-    known = modules()
-    out = {}
-    for name, path in known.items():
-        nodes = loaded_at_import(ast.parse(path.read_text(encoding="utf-8")))
-        direct = {target for node in nodes for target in targets(node, known, name)}
-        out[name] = {
-            step
-            for target in direct
-            for step in packages_to(target)
-            if step in known and not f"{name}.".startswith(f"{step}.")
-        }
-    return out
-
-
-def packages_to(module: str) -> Iterator[str]:
-    """A module and the packages around it, whose __init__ runs before it."""
+def packages_to(importer: str, module: str) -> Iterator[str]:
+    """A module and the packages around it, but not around the importer, whose __init__ runs before
+    it.
+    """
     parts = module.split(".")
-    yield from (".".join(parts[:end]) for end in range(2, len(parts) + 1))
+    steps = (".".join(parts[:end]) for end in range(2, len(parts) + 1))
+    yield from (step for step in steps if not f"{importer}.".startswith(f"{step}."))
 
 
 def test_no_module_imports_itself_by_way_of_others() -> None:
-    for imported in (graph(), directly()):
-        assert circles(imported) == []
+    loaded, named = graph(at_load, packages_to), graph(every_import, lambda importer, name: [name])
+    assert len(loaded) > 200
+    assert "hiltestbed.loop" in loaded["hiltestbed.simulation"]
+    assert circles(loaded) == circles(named) == []
 
 
 def test_a_circle_is_seen_wherever_its_imports_stand() -> None:
@@ -150,11 +128,3 @@ def test_whatever_is_imported_first_the_table_of_methods_is_whole(first: str) ->
         f"import hiltestbed.{first}, hiltestbed as h; h.load_scenario('26-force-compensation')"
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
-
-
-def test_the_walk_sees_imports() -> None:
-    found = graph()
-    assert "hiltestbed.loop" in found["hiltestbed.simulation"]
-    # imported by the command that needs it
-    assert "hiltestbed.diagnosis.diagnose" not in found["hiltestbed.cli.studies"]
-    assert len(found) > 200

@@ -1,16 +1,16 @@
-"""The time left is that of the work: neither what came before nor one slow part counts."""
+"""On a terminal: the time left is that of the work, and a table breaks no word."""
 
 from __future__ import annotations
 
 import time
 
-import numpy as np
 import pytest
 from numba.core.event import unregister
 
 from hiltestbed.bench.contacts import BenchContact, bounce, effort
 from hiltestbed.compiled import warm as kernels
 from hiltestbed.process.progress import UnitTime
+from hiltestbed.report.table import print_comparison
 
 from .slow import SLOW
 
@@ -41,42 +41,6 @@ def test_one_slow_part_does_not_set_the_pace() -> None:
 def test_parts_of_unequal_work_count_by_their_work() -> None:
     """10 units a second throughout, in parts of 1, 10, 40 and 9."""
     assert pace_of([0.0, 0.1, 1.1, 5.1, 6.0], [0, 1, 11, 51, 60]).left(30) == pytest.approx(3.0)
-
-
-def test_a_time_is_not_told_while_parts_differ_too_much() -> None:
-    """After parts of 1 and 9 s for the same work three do not tell the mean; after many it is told,
-    slow ones counted.
-    """
-    times = [0.0]
-    for i in range(24):
-        times.append(times[-1] + (9.0 if i % 2 else 1.0))
-    assert pace_of(times[:5], [0, 1, 2, 3, 4]).left(10) is None
-    assert pace_of(times, list(range(25))).left(10) == pytest.approx(50.0)
-
-
-@pytest.mark.parametrize("spread", [0.3, 0.7])
-def test_the_first_time_that_is_told_is_right_by_a_factor_of_two(spread) -> None:
-    """Sets that two processes work on, of lengths that differ by a factor of exp(spread), after
-    half a minute of compiling in each.
-    """
-    right = 0
-    for seed in range(200):
-        lengths = 8.0 * np.exp(spread * np.random.default_rng(seed).standard_normal(60))
-        free, ends = [30.0, 30.0], []
-        for seconds in lengths:
-            worker = free.index(min(free))
-            free[worker] += seconds
-            ends.append(free[worker])
-        ends.sort()
-        clock = iter(ends)
-        pace = UnitTime(lambda clock=clock: next(clock))
-        for i, now in enumerate(ends[:-8], 1):
-            pace.update(i)
-            told = pace.left(len(ends) - i)
-            if told is not None:
-                right += 0.5 < told / (ends[-1] - now) < 2.0
-                break
-    assert right >= 0.93 * 200
 
 
 @SLOW
@@ -110,3 +74,29 @@ def test_compiling_is_told_once_and_only_where_it_takes_long(
             step(None)
             time.sleep(0.001)
         assert capsys.readouterr().err.count("compiling") == told
+
+
+NAMES = ("late", "right", "with-a-long-name-of-a-run")
+ROWS = [
+    ["mechanism.contact.stiffness", "100000.0", "120000.0", "80000.0"],
+    ["stability.net_damping [N s/m, N m s/rad]", "12.34", "-1.2", "3.456"],
+    ["approach.velocity", "[0.0, 0.0, 0.03]", "[0.0, 0.0, 0.02]", "[0.001, 0.0, 0.03]"],
+    [
+        "energy",
+        "neutral: within 0.5 % of the approach energy",
+        "active: made 3 % of the approach energy",
+        "passive",
+    ],
+]
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 100, 140])
+def test_a_comparison_breaks_no_word(
+    width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    print_comparison(NAMES, ROWS, None)
+    printed = capsys.readouterr().out
+    words = printed.split()
+    for cell in (*NAMES, *(cell for row in ROWS for cell in row)):
+        assert all(word in words or f"{word}:" in words for word in cell.split())

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from hiltestbed.bench.result import BenchResult
 
 CHECKOUT = Path(__file__).parents[2]  # of the sources, unless the package was installed
-EQUIPMENT = "tests.equipment."  # the independent rig and the random inputs are not installed
+EQUIPMENT = "tests.equipment."  # the independent rig is not installed
 BENCHES = {  # name of a benchmark, and the module with its function of the same name
     "cor": "hiltestbed.bench.cor",
     "diagnosis": EQUIPMENT + "diagnosis.run",
@@ -23,7 +23,6 @@ BENCHES = {  # name of a benchmark, and the module with its function of the same
     "identification": "hiltestbed.bench.identification",
     "real": "hiltestbed.bench.real.run",
     "realtime": "hiltestbed.bench.realtime",
-    "robustness": EQUIPMENT + "robustness.run",
     "throughput": "hiltestbed.bench.throughput",
 }
 

@@ -35,14 +35,16 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
-# benchmarks with a time limit: suffix of the file of what is done
-LASTING = {"diagnosis": ".sets.jsonl", "robustness": ".trials.jsonl"}
-LONG = ", ".join(LASTING)
+# options of one benchmark only
+ONLY: dict[str, str] = dict.fromkeys(
+    ("noise", "docking", "computing", "minutes", "workers"), "diagnosis"
+)
+ONLY |= {"data": "real", "enter": "hildock"}
 
 
 @dataclass
-class Only:
-    """Which sets of the benchmark of the diagnosis; all where nothing is given."""
+class Particular:
+    """Options of one benchmark only; None and False where they are not given."""
 
     noise: Annotated[
         bool, typer.Option("--noise", help="diagnosis: only sets with noise that is not white.")
@@ -58,18 +60,13 @@ class Only:
             "stamps.",
         ),
     ] = False
-
-
-@dataclass
-class Particular:
-    """Options of some benchmarks; None where they are not given."""
-
     minutes: Annotated[
-        float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help=f"{LONG}: duration.")
+        float | None,
+        typer.Option("--for", metavar="MINUTES", min=0.01, help="diagnosis: duration."),
     ] = None
     workers: Annotated[
         int | None,
-        typer.Option("--workers", min=1, help=f"{LONG}: processes; left out: one per core."),
+        typer.Option("--workers", min=1, help="diagnosis: processes; left out: one per core."),
     ] = None
     data: Annotated[
         Path | None,
@@ -89,7 +86,6 @@ class Particular:
 @grouped
 def bench(
     name: Annotated[str, typer.Argument(metavar="|".join(BENCHES), help="Which benchmark.")],
-    only: Only,
     particular: Particular,
     out: Out = None,
     quick: Annotated[bool, typer.Option("--quick", help="A smaller grid.")] = False,
@@ -104,26 +100,15 @@ def bench(
     """
     if name not in BENCHES:
         raise InputError(f"bench: unknown benchmark (got {name!r}); allowed: {', '.join(BENCHES)}")
-    chosen = {option: True for option, given in vars(only).items() if given}
-    more: dict[str, Any] = {k: v for k, v in vars(particular).items() if v is not None}
-    if chosen and name != "diagnosis":
-        raise InputError(
-            f"bench {name}: --{next(iter(chosen))} is an option of bench diagnosis only; leave it "
-            f"out"
-        )
-    if more.keys() & {"minutes", "workers"} and name not in LASTING:
-        raise InputError(
-            f"bench {name}: --for and --workers are options of bench {' and '.join(LASTING)} "
-            f"only; leave them out"
-        )
-    if ("data" in more) != (name == "real"):
-        raise InputError(
-            "bench real: needs --data DIR, the folder of the public records"
-            if name == "real"
-            else f"bench {name}: --data is an option of bench real only; leave it out"
-        )
-    if "enter" in more and name != "hildock":
-        raise InputError(f"bench {name}: --enter is an option of bench hildock only; leave it out")
+    given: dict[str, Any] = {k: v for k, v in vars(particular).items() if v not in (None, False)}
+    named = {"for" if k == "minutes" else k: v for k, v in given.items()}
+    for option, of in zip(named, map(ONLY.__getitem__, given), strict=True):
+        if of != name:
+            raise InputError(
+                f"bench {name}: --{option} is an option of bench {of} only; leave it out"
+            )
+    if name == "real" and "data" not in given:
+        raise InputError("bench real: needs --data DIR, the folder of the public records")
     measure = benchmark(name)
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.compiled.warm import tell_of_compiling
@@ -131,21 +116,20 @@ def bench(
 
     folder = result_folder(out, f"bench-{name}", BENCH)
     tell_of_compiling()
-    keep = {"keep": folder.with_name(folder.name + LASTING[name])} if name in LASTING else {}
+    done: dict[str, Any] = (
+        {"keep": folder.with_name(f"{folder.name}.sets.jsonl")} if name == "diagnosis" else {}
+    )
     try:
         with count_bar(f"bench {name}") as progress:
-            result = measure(quick=quick, progress=progress, **chosen, **more, **keep)
+            result = measure(quick=quick, progress=progress, **given, **done)
     except KeyboardInterrupt:
-        if not keep:
+        if not done:
             raise
         raise HiltestbedError(
-            f"interrupted; the same command with --out {folder} goes on from {keep['keep']}"
+            f"interrupted; the same command with --out {folder} goes on from {done['keep']}"
         ) from None
-    called: dict[str, object] = {"quick": True} if quick else {}
-    called |= chosen
-    for option, value in more.items():
-        name_of = "for" if option == "minutes" else option
-        called[name_of] = str(value) if isinstance(value, Path) else value
+    called = ({"quick": True} if quick else {}) | named
+    called = {k: str(v) if isinstance(v, Path) else v for k, v in called.items()}
     write_bench(result, folder, called)
     if as_json:
         print_json({"name": name, "folder": str(folder), "summary": result.summary})

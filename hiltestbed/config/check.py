@@ -44,28 +44,18 @@ class FileReport:
     budget: Budget | None = None
 
 
-def check_file(path: str | Path) -> tuple[Kind | None, tuple[Fault, ...]]:
-    """The kind of a file (None: not YAML) and every fault in it; data are not opened."""
-    found = _look_at(path, data=False)
-    return found.kind, found.faults
-
-
 def look_at(path: str | Path, set: Mapping[str, Any] | None = None) -> FileReport:
     """All findings on a file, with dotted keys overridden; a dataset's data are checked too."""
-    return _look_at(path, data=True, set=set)
-
-
-def _look_at(path: str | Path, data: bool, set: Mapping[str, Any] | None = None) -> FileReport:
     kind: Kind | None = None
     try:
         source = read_source(path).with_set(set)
         kind = file_kind(source)
-        return _CHECKS[kind](source, data)
+        return _CHECKS[kind](source)
     except InputError as error:
         return FileReport(kind, error.faults or (Fault(str(path), None, None, "", str(error)),))
 
 
-def _scenario(source: Source, data: bool) -> FileReport:
+def _scenario(source: Source) -> FileReport:
     from hiltestbed.analysis.limits import ahead, rig_ahead
     from hiltestbed.config.budget import run_budget
     from hiltestbed.config.models import remarks_on
@@ -75,8 +65,6 @@ def _scenario(source: Source, data: bool) -> FileReport:
     from hiltestbed.scenario import scenario_from
 
     scenario = scenario_from(source)
-    if not data:
-        return FileReport("scenario", ())
     models = [file for file, kind in user_files(scenario).values() if kind.mjcf]
     said = (f"{file}: {text}" for file in models for text in remarks_on(file))
     remarked = (
@@ -89,7 +77,7 @@ def _scenario(source: Source, data: bool) -> FileReport:
     return _within(FileReport("scenario", (), remarked, run_budget([scenario])), source)
 
 
-def _campaign(source: Source, data: bool) -> FileReport:
+def _campaign(source: Source) -> FileReport:
     from hiltestbed.analysis.limits import ahead, rig_ahead
     from hiltestbed.campaign.schema import campaign_from
     from hiltestbed.campaign.sweep import varied_in_vain
@@ -97,36 +85,29 @@ def _campaign(source: Source, data: bool) -> FileReport:
     from hiltestbed.config.sense import warnings
 
     campaign = campaign_from(source)
-    if not data:
-        return FileReport("campaign", ())
     said = (*warnings(campaign.nominal), *varied_in_vain(campaign))
     remarked = (*_as_warnings(said), *ahead(campaign.nominal), *rig_ahead(campaign.nominal))
     return _within(FileReport("campaign", (), remarked, campaign_budget(campaign)), source)
 
 
-def _dataset(source: Source, data: bool) -> FileReport:
+def _dataset(source: Source) -> FileReport:
     from hiltestbed.config.budget import dataset_budget
     from hiltestbed.config.dataset import dataset_from
-
-    loaded = dataset_from(source)
-    if not data:
-        return FileReport("dataset", ())
     from hiltestbed.measured import as_faults, examine
     from hiltestbed.measured.remark import together
 
+    loaded = dataset_from(source)
     examined = examine(loaded)
     faults = tuple(as_faults(examined))
     remarks = map(str, together(r for r in examined.remarks if r.severity != "error"))
     return _within(FileReport("dataset", faults, tuple(remarks), dataset_budget(loaded)), source)
 
 
-def _axis(source: Source, data: bool) -> FileReport:
+def _axis(source: Source) -> FileReport:
     from hiltestbed.axis.dataset import load_axis
     from hiltestbed.axis.scaling import scaling_remark
 
-    loaded = load_axis(source, data)
-    if not data:
-        return FileReport(file_kind(source), ())
+    loaded = load_axis(source)
     model = loaded.model()
     more = model.tells_nothing() or scaling_remark(model)
     return FileReport(file_kind(source), (), (*loaded.remarks, *([more] if more else [])))

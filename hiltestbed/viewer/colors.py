@@ -7,7 +7,6 @@ DESIRED = (176, 182, 192)  # the pose commanded by the numerical model
 REACHED = (255, 140, 38)  # the pose that the rig reached
 TRUE = (176, 182, 192)  # the true value of an estimate
 ESTIMATE = (196, 132, 255)
-UNSURE = (196, 132, 255, 70)  # an estimate that has not settled
 ENERGY = (255, 92, 110)
 PATH = (250, 214, 120)  # the path of the probe's tip
 TEXT = (235, 238, 242)

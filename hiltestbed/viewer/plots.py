@@ -10,9 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
-from hiltestbed.analysis.assessment import UNSURE
 from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.frames import Array, rotation_vectors
 from hiltestbed.run_folder.result import Run
@@ -26,7 +24,6 @@ JOINTS = (  # unit in the trace, path, name of a curve, scale factor, title
     ("m", "platform/slider_mm", "slider {j} [mm]", 1e3, "Sliders of the platform [mm]"),
     ("rad", "platform/joint_deg", "joint {j} [deg]", 180.0 / np.pi, "Joints of the platform [deg]"),
 )
-CHECKED = 300  # rows at which an estimate is compared with its past
 PHASE = f"{ROOT}/contact_phase"
 PHASES = {
     "approach": ("Approach", (84, 96, 116)),
@@ -99,51 +96,21 @@ def _axes(plotter: Plotter, trace: RunTrace) -> None:
 
 
 def _estimates(plotter: Plotter, run: Run, trace: RunTrace) -> None:
-    """Identified stiffness and damping, bright once settled, with their true values if known."""
-    counted = trace.contact if trace.contact.any() else np.ones(len(trace.t), dtype=bool)
+    """Identified stiffness and damping, with their true values if known."""
     for name, units in (("stiffness", ("N/m", "N m/rad")), ("damping", ("N s/m", "N m s/rad"))):
         for j, axis in enumerate(AXES):
             unit, values = units[j // 3], trace[f"{name}_est"][:, j]
             known = np.flatnonzero(np.isfinite(values))
             path = f"{name}/{axis}"
             if len(known):
-                later, since = Plotter(plotter.rec, trace.t[known[0] :]), slice(known[0], None)
-                sure = np.where(unsure(values, counted), np.nan, values)[since, None]
-                shade, label = [colors.UNSURE], [f"identified [{unit}]"]
-                later.curves(f"{path}/identified", label, shade, values[since, None])
-                if np.isfinite(sure).any():
-                    shade, label = [colors.ESTIMATE], [f"settled [{unit}]"]
-                    later.curves(f"{path}/identified_surely", label, shade, sure, [2.0])
+                later, label = Plotter(plotter.rec, trace.t[known[0] :]), [f"identified [{unit}]"]
+                later.curves(
+                    f"{path}/identified", label, [colors.ESTIMATE], values[known[0] :, None], [2.0]
+                )
             truth = run.summary["identification"][axis][f"{name}_true"]
             if truth is not None:
                 ends, label = Plotter(plotter.rec, trace.t[[0, -1]]), [f"true [{unit}]"]
                 ends.curves(f"{path}/true", label, [colors.TRUE], np.full((2, 1), truth))
-
-
-def unsure(values: Array, counted: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """``(rows,)`` where an estimate ``values`` ``(rows,)`` has changed by more than a tenth over
-    the second half of its samples.
-
-    The difference of the estimate from n samples and that from the first n/2 of them has the
-    variance of the estimate itself: nested efficient estimates have Var(a_(n/2) - a_n) =
-    Var(a_(n/2)) - Var(a_n), which is Var(a_n) if the variance falls as 1/n.
-
-    ``counted`` ``(rows,)``: rows that contributed a sample; between these rows the result is held.
-    Rows without an estimate are unsure.
-    """
-    known = np.isfinite(values)
-    rows = np.flatnonzero(counted & known)
-    out = np.ones(len(values), dtype=bool)
-    if not len(rows):
-        return out
-    places = np.unique(np.linspace(0, len(rows) - 1, CHECKED).astype(int))
-    samples = values[rows]
-    doubt = np.array(
-        [np.ptp(samples[p // 2 : p + 1]) > UNSURE * abs(samples[p]) or p == 0 for p in places]
-    )
-    at = np.searchsorted(rows[places], np.arange(len(values)), side="right") - 1
-    out[at >= 0] = doubt[at[at >= 0]]
-    return out | ~known
 
 
 def _platform(plotter: Plotter, trace: RunTrace) -> None:

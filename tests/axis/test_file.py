@@ -14,7 +14,7 @@ from hiltestbed.axis.dataset import load_axis
 from hiltestbed.axis.diagnose import diagnose_axis
 from hiltestbed.axis.records import Signal, at_times
 from hiltestbed.axis.scaling import scaling_of
-from hiltestbed.config.check import check_file, look_at
+from hiltestbed.config.check import look_at
 from hiltestbed.errors import InputError
 from tests.axis import machines
 
@@ -137,7 +137,7 @@ def test_a_log_without_a_clock_asks_for_its_rate(tmp_path):
         load_axis(written(tmp_path, data))
     loaded = load_axis(written(tmp_path, data | {"rate": 500.0}))
     assert loaded.records[0].t[1] == pytest.approx(0.002)
-    assert check_file(tmp_path / "axis.yaml")[0] == "axis"
+    assert look_at(tmp_path / "axis.yaml").kind == "axis"
 
 
 @pytest.mark.parametrize(

@@ -32,12 +32,17 @@ design: {kind: sobol, cases: 96, seed: 3}
 """
 
 
-@pytest.fixture
-def file(tmp_path: Path) -> Path:
-    (tmp_path / "scenario.yaml").write_text(SCENARIO)
-    path = tmp_path / "campaign.yaml"
+def written(folder: Path) -> Path:
+    """The campaign's file in a folder, beside its scenario."""
+    (folder / "scenario.yaml").write_text(SCENARIO)
+    path = folder / "campaign.yaml"
     path.write_text(CAMPAIGN)
     return path
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return written(tmp_path)
 
 
 @pytest.fixture

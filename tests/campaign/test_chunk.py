@@ -19,18 +19,6 @@ from hiltestbed.scenario import scenario_from
 from hiltestbed.simulation import run
 
 
-def test_rows_do_not_depend_on_the_chunk(campaign: LoadedCampaign) -> None:
-    whole = table(campaign.spec, run_chunk(campaign, range(24)).rows)
-    parts = [
-        row
-        for start in range(0, 24, 5)
-        for row in run_chunk(campaign, range(start, min(start + 5, 24))).rows
-    ]
-    assert table(campaign.spec, parts).equals(whole)
-    assert set(whole["status"].to_pylist()) == {"completed"}
-    assert len(set(whole["trace_sha256"].to_pylist())) == 24
-
-
 def test_one_case_run_alone_and_in_full_has_the_row_and_the_trace_of_the_campaign(
     campaign: LoadedCampaign,
 ) -> None:

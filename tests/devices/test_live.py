@@ -51,6 +51,7 @@ def test_a_bounce_over_the_wire_is_the_bounce_of_the_simulation(sensor: str, pla
     )
 
 
+@SLOW
 def test_a_docking_over_the_wire_is_the_docking_of_the_simulation() -> None:
     """Six axes, friction, a lateral offset. e is read off a body that turns: when it is read, makes
     half a per cent.

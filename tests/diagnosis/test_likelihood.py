@@ -1,6 +1,4 @@
-"""One likelihood for the links of the loop: its parts against closed forms, and verdicts on logs
-with errors of their own.
-"""
+"""One likelihood for the links of the loop: its parts against closed forms."""
 
 from __future__ import annotations
 
@@ -8,18 +6,14 @@ import math
 from copy import copy
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
-from hiltestbed.diagnosis.find import Judged, judge
 from hiltestbed.diagnosis.investigate import (
     candidates_of,
     dynamics,
-    investigate,
 )
 from hiltestbed.diagnosis.layout import lay_out
 from hiltestbed.diagnosis.link_model import LinkModel, leftover
@@ -27,43 +21,16 @@ from hiltestbed.diagnosis.paths import best_path, make_wrench_link
 from hiltestbed.inference.likelihood import Likelihood, independent
 from hiltestbed.inference.model import Hypothesis
 from hiltestbed.inference.residuals import Changes, Gram, RunResiduals
-from hiltestbed.measured import MeasuredDataset, load_dataset
-from tests.equipment.diagnosis.tasks import Task
-from tests.equipment.independent_rig import write_set
-from tests.equipment.log_errors import Change, in_steps, lost, of_the_reading, rewrite, spikes
-from tests.slow import SLOW, slow
+from hiltestbed.measured import MeasuredDataset
+from tests.diagnosis.recorded import drawn
 
 FLOOR = 1.2
 NOTHING = Hypothesis((), np.zeros(0), np.zeros(0))
-FORCES = tuple(f"wrench_meas.f{axis}" for axis in "xyz")
-HEALTHY, FRICTION, DELAY = (
-    Task(400_126, "healthy"),
-    Task(400_601, "single", ("contact.dry_friction",)),
-    Task(400_042, "single", ("sensor.delay",)),
-)
-
-
-def known_to_fail(*values: Any, why: str) -> Any:
-    """A case that a law does not hold in yet."""
-    return pytest.param(*values, marks=(SLOW, pytest.mark.xfail(strict=True, reason=why)))
-
-
-def written(folder: Path, task: Task, change: Change | None = None) -> MeasuredDataset:
-    """A set of the independent rig, its log changed."""
-    write_set(folder, task.draw())
-    if change:
-        rewrite(folder, change)
-    return load_dataset(folder / "dataset.yaml")
-
-
-def judged(dataset: MeasuredDataset) -> Judged:
-    with np.errstate(all="ignore"):
-        return judge(investigate(dataset))
 
 
 @pytest.fixture(scope="module")
 def healthy(tmp_path_factory: pytest.TempPathFactory) -> MeasuredDataset:
-    return written(tmp_path_factory.mktemp("healthy"), HEALTHY)
+    return drawn(tmp_path_factory.mktemp("healthy"), 400_126)
 
 
 @cache
@@ -191,44 +158,3 @@ def test_the_size_of_a_jitter_is_that_of_its_delays(healthy: MeasuredDataset) ->
     found = likelihood.fit((jitter,), [np.array([layout.scales.tick])])
     assert model.leaves_noise(found.left)
     assert found.of.theta[0] / sigma == pytest.approx(0.5 * math.sqrt(squares / weights), rel=0.03)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        slow(lost(0.1)),
-        slow(lost(0.2)),
-        slow(of_the_reading(0.01)),
-        slow(of_the_reading(0.01, "wrench_comp")),
-        known_to_fail(
-            spikes(50.0, 1e-3, FORCES), why="a spike bends the baseline that is fitted to its run"
-        ),
-        slow(in_steps(1.0, FORCES)),
-    ],
-)
-def test_errors_of_the_log_alone_are_no_departure(tmp_path: Path, change: Change) -> None:
-    dataset = written(tmp_path, HEALTHY, change)
-    found = judged(dataset).verdict
-    assert found.causes == ()
-    assert found.verdict in ("no_discrepancy", "inconclusive")
-
-
-@pytest.mark.parametrize(
-    ("task", "change"),
-    [
-        slow(FRICTION, lost(0.1)),
-        known_to_fail(
-            FRICTION, of_the_reading(0.01), why="a stiffness lower by 0.1 % is named as well"
-        ),
-        slow(DELAY, lost(0.1)),
-        slow(DELAY, lost(0.4)),
-        slow(DELAY, spikes(50.0, 1e-3, FORCES)),
-    ],
-)
-def test_what_departs_is_named_all_the_same(tmp_path: Path, task: Task, change: Change) -> None:
-    found = judged(written(tmp_path, task, change)).verdict
-    assert [c.effect for c in found.causes] == list(task.names or ())
-    hidden = task.draw().effects[0]
-    leading = next(v for k, v in hidden.items() if k != "kind")
-    estimate = found.causes[0].cause.estimates[0]
-    assert estimate.value == pytest.approx(leading, rel=0.03)

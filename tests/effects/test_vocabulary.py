@@ -1,11 +1,12 @@
 """The vocabulary of effects: each one is described, searched and acts; a new effect that lacks a
-part fails here.
-"""
+part fails here."""
 
 from __future__ import annotations
 
 import copy
+import itertools
 from collections.abc import Callable
+from dataclasses import asdict
 from typing import Any, get_args
 
 import numpy as np
@@ -336,3 +337,19 @@ def test_a_hypothesis_may_leave_what_a_scenario_allows(
     p = believed("sensor")
     late.apply(p)
     assert p.delay == head_on.sensor.delay - 1e-4
+
+
+OF_LINK: dict[str, Any] = {
+    "contact": lambda effects: ContactParameters(1e5, 100.0, friction=0.1).with_effects(effects),
+    "dynamics": DynamicsParameters.of,
+    "platform": lambda effects: PlatformParameters(5e-4).with_effects(effects),
+    "sensor": lambda effects: SensorParameters().with_effects(effects),
+}
+
+
+@pytest.mark.parametrize("link", OF_LINK)
+def test_two_effects_of_a_link_give_the_same_parameters_in_either_order(link: str) -> None:
+    made = [EFFECTS[k](kind=k, **v) for k, v in EXAMPLES.items() if EFFECTS[k].link == link]
+    for pair in itertools.combinations(made, 2):
+        one, other = (asdict(OF_LINK[link](order)) for order in (pair, pair[::-1]))
+        np.testing.assert_equal(one, other, [e.kind for e in pair])

@@ -1,3 +1,1 @@
-"""Test equipment: a rig that shares no code with the package, random inputs, and the benchmarks
-that need them.
-"""
+"""Test equipment: a rig that shares no code with the package, and the benchmark that needs it."""

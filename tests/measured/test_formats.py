@@ -14,7 +14,7 @@ from hiltestbed.errors import InputError, MissingExtra
 from hiltestbed.measured import apart, examine, load_dataset
 from hiltestbed.measured import columns as columns_module
 from hiltestbed.measured.formats import format_of, read_columns
-from tests.equipment.data_files import WRITERS
+from tests.measured.data_files import WRITERS
 
 from . import bounce
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
+from hiltestbed.loop import Loop
 from hiltestbed.scenario import Scenario, load_scenario
+from hiltestbed.signals import AXES
 from hiltestbed.simulation import run_batch, simulate
 from tests.physics.closed_forms import cor_at_zero_force, cor_pure_delay
 
@@ -104,3 +107,83 @@ def test_the_reference_is_the_closed_form() -> None:
             abs(math.log(run.summary["cor_reference"] / cor_at_zero_force(K, damping, MU))) < 2e-3
         )
         assert run.summary["cor_log_error"] > 0.2
+
+
+SCENARIO = "13-ring-down"
+DELAY_TICKS = 10  # 5 ms at 2 kHz
+
+
+def test_each_axis_is_found_through_the_delay_and_does_not_show_on_another() -> None:
+    """Six runs, one an axis; with the ports at the centres no lever arm turns a push. The force
+    across, as a stiffness over the geometric mean of both axes' own.
+    """
+    scenarios = []
+    for axis in range(6):
+        speed = np.zeros(6)
+        speed[axis] = 0.006 if axis < 3 else 1.0  # m/s, deg/s
+        changes = {
+            "approach.velocity": speed[:3].tolist(),
+            "approach.rate_deg": speed[3:].tolist(),
+            "seed": axis,
+            "spacecraft.chaser.port.position": [0, 0, 0],
+            "spacecraft.target.port.position": [0, 0, 0],
+            "rig.platform.tracking": "ideal",
+            "compensation.force": {"kind": "phase_lead"},
+        }
+        scenarios.append(load_scenario(SCENARIO, set=changes))
+    batch = simulate(scenarios, trace=True)
+    assert not batch.trouble
+    assert batch.trace is not None
+    late, now = slice(DELAY_TICKS, None), slice(None, -DELAY_TICKS)
+    for i, (axis, identified) in enumerate(zip(AXES, batch.identification, strict=True)):
+        found = identified[axis]
+        assert found["stiffness"] == pytest.approx(found["stiffness_true"], rel=1e-2), axis
+        assert found["damping"] == pytest.approx(found["damping_true"], rel=5e-2), axis
+        true = np.array([identified[name]["stiffness_true"] for name in AXES])
+        motion = (1.0 if i < 3 else 2.0) * batch.trace["pose_act"][now, i, i]
+        rate = batch.trace["twist_act"][now, i, i]
+        columns = np.column_stack([motion, rate, np.ones(len(motion))])
+        stiffness = np.linalg.lstsq(columns, batch.trace["wrench_meas"][late, i], rcond=None)[0][0]
+        assert np.abs(np.delete(stiffness / np.sqrt(true * true[i]), i)).max() < 1e-2, axis
+
+
+def kinetic(loop: Loop) -> float:
+    """[J] of both vehicles of the only run."""
+    craft, total = loop.model, 0.0
+    for b in range(2):
+        v = craft.v[0, b]
+        total += 0.5 * craft.mass[0, b] * float(v[:3] @ v[:3]) + 0.5 * float(
+            v[3:] @ craft.inertia[0, b] @ v[3:]
+        )
+    return total
+
+
+@pytest.mark.parametrize(("offset", "gap"), [((0.06, -0.02), 0.07), ((0.15, 0.0), 0.16)])
+def test_a_contact_that_takes_nothing_leaves_the_vehicles_what_the_rig_made(offset, gap) -> None:
+    """A spring without damper and friction gives all back: the energy of the rig is the change of
+    both vehicles' kinetic energy.
+    """
+    keys = {
+        "approach": {
+            "gap": gap,
+            "offset": list(offset),
+            "velocity": [0.0, 0.0, 0.08],
+            "attitude_deg": [1.0, 0.0, 0.0],
+        },
+        "mechanism": {"kind": "probe_cone", "contact": {"stiffness": 5.0e4}},
+        "sensor": {"delay": 0.006},
+        "duration": 1.2,
+        "compensation.force.kind": "none",
+        "identification.kind": "none",
+    }
+    s = load_scenario("09-docking", keys)
+    loop = Loop([s])
+    before, apart = kinetic(loop), 0
+    while loop.k < s.ticks and apart < 40:
+        loop.step(None)
+        apart = apart + 1 if loop.tally.contacts[0] and not loop.plant.contact[0] else 0
+    gained = kinetic(loop) - before
+    assert apart == 40
+    assert gained > 0.1
+    assert loop.tally.energy[0] == pytest.approx(gained, rel=1e-3)
+    assert np.isfinite(loop.tally.figures(0).cor_normal or np.nan)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import mujoco
 import numpy as np
 import pytest
@@ -66,30 +64,6 @@ def test_placed_by_the_inverse_kinematics_every_link_of_mujocos_ends_on_its_anch
                 < 1e-9
             )
         np.testing.assert_allclose(data.site("mount").xpos, pose[:3], atol=1e-12)
-
-
-def test_mujocos_own_mechanism_moves_sideways_as_the_closed_form_says() -> None:
-    """Its joints are released, its sliders pulled to those of a tilt; what the platform then does
-    is MuJoCo's own solution.
-    """
-    m = load("prs3/prs3").compile()
-    m.opt.gravity[:] = 0.0
-    m.opt.timestep = 1e-3
-    m.eq_solref[:] = [2e-3, 1.0]
-    data, sliders = mujoco.MjData(m), np.empty((1, 3))
-    goal = placed(np.array([0.05, 0.06, -0.08]))
-    inverse(UPPER.legs, goal[None], sliders)
-    for _ in range(4000):
-        for j in range(3):
-            joint = data.joint(f"slider_{j}")
-            data.ctrl[j] = 2e5 * (sliders[0, j] - joint.qpos[0]) - 1e4 * joint.qvel[0]
-        mujoco.mj_step(m, data)
-    np.testing.assert_allclose(data.site("mount").xpos, goal[:3], atol=1e-6)
-    matrix = Rotation.from_quat(goal[3:]).as_matrix()
-    np.testing.assert_allclose(data.site("mount").xmat.reshape(3, 3), matrix, atol=2e-6)
-    radius = UPPER.shape[0]
-    sideways = np.linalg.norm((goal[:3] + UPPER.shape[1] * matrix[:, 2])[:2])
-    assert sideways == pytest.approx(0.5 * radius * (1.0 - math.cos(0.1)), rel=1e-9)
 
 
 def test_the_whole_travel_is_within_the_sliders_stroke() -> None:

@@ -1,6 +1,5 @@
 """The worked plugins under examples/plugins: found by --plugin and by an entry point, run, in the
-benchmark, and named by a diagnosis.
-"""
+benchmark, and named by a diagnosis; a registry whose modules cannot be imported says so."""
 
 from __future__ import annotations
 
@@ -8,7 +7,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +19,15 @@ from hiltestbed import plugins
 from hiltestbed.compensation.settings import FORCE_METHODS
 from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.contact.settings import MECHANISMS
+from hiltestbed.diagnosis.investigate import candidates_of
 from hiltestbed.effects import EFFECTS
 from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.plugins import Registry
 from hiltestbed.scenario import scenario_from
-from tests.diagnosis.recorded import recorded
+from tests.diagnosis.made import SCALES, contact_link, effect, explained
 from tests.running import run
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
-IDEAL = {"rig.platform.tracking": "ideal"}
 
 
 pytestmark = pytest.mark.usefixtures("tables_as_shipped")
@@ -64,16 +64,16 @@ def test_an_effect_acts_as_its_equation_says() -> None:
     assert run(worn).summary["cor"] == run(other).summary["cor"]
 
 
-def test_a_diagnosis_names_an_effect_of_the_users(tmp_path: Path) -> None:
+def test_a_diagnosis_names_an_effect_of_the_users() -> None:
     """One number moves stiffness and damping together: the worn pad explains with one what two
     built-in effects need two for.
     """
     plugins.load([str(EXAMPLES / "worn_pad.py")])
-    found = hiltestbed.diagnose(recorded(tmp_path, [{"kind": "contact.worn_pad", "wear": 0.2}]))
-    assert found.finding.verdict == "named"
-    (cause,) = found.finding.causes
-    assert cause.effect == "contact.worn_pad"
-    assert cause.parameters["wear"].estimate == pytest.approx(0.2, abs=0.01)
+    assert "contact.worn_pad" in {c.kind for c in candidates_of(SCALES, ("contact",))}
+    kinds = ("contact.worn_pad", "contact.stiffness", "contact.damping")
+    found = explained(contact_link([effect("contact.worn_pad", wear=0.2)]), *kinds)
+    assert found.kinds == kinds[:1]
+    assert found.causes[0].estimates[0].value == pytest.approx(0.2, abs=0.01)
 
 
 def test_a_compensation_takes_the_delay_out(
@@ -93,7 +93,7 @@ def test_a_compensation_takes_the_delay_out(
 def test_the_benchmark_takes_a_compensation_of_the_users() -> None:
     from hiltestbed.bench.contacts import bounce, grid
     from hiltestbed.bench.contenders import CONTENDERS, contenders
-    from hiltestbed.bench.cor import measure, reference_scenario
+    from hiltestbed.bench.cor import _takes_part, measure, reference_scenario
 
     plugins.load([str(EXAMPLES / "slope_lead.py")])
     mine = [c for c in contenders() if c not in CONTENDERS]
@@ -102,6 +102,11 @@ def test_the_benchmark_takes_a_compensation_of_the_users() -> None:
     reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in contacts])
     (record,) = measure(mine[0], contacts, reference)
     assert record["stable"]
+    # in every column, also where it is quick; a built-in one that leads in nothing is left out
+    for condition in (("ideal", "exact"), ("ideal", "off"), ("servo", "exact")):
+        assert _takes_part(mine[0], condition, quick=True)
+    dead_zone = next(c for c in CONTENDERS if c.name == "dead_zone")
+    assert not _takes_part(dead_zone, ("ideal", "off"), quick=True)
 
 
 def test_a_method_of_the_users_that_raises_is_left_out_and_a_built_in_one_is_not() -> None:
@@ -275,20 +280,6 @@ def test_a_scenario_that_needs_a_plugin_says_what_is_there() -> None:
     assert "three_pads" not in MECHANISMS
 
 
-def test_the_benchmark_enters_a_method_of_the_users_in_every_column() -> None:
-    """Also where it is quick: delay off and servo, and the random rigs; a built-in one that leads
-    in nothing is left out there.
-    """
-    from hiltestbed.bench.contenders import contenders
-    from hiltestbed.bench.cor import _takes_part
-
-    plugins.load([str(EXAMPLES / "slope_lead.py")])
-    by_name = {m.name: m for m in contenders()}
-    for condition in (("ideal", "exact"), ("ideal", "off"), ("servo", "exact")):
-        assert _takes_part(by_name["slope_lead"], condition, quick=True)
-    assert not _takes_part(by_name["dead_zone"], ("ideal", "off"), quick=True)
-
-
 def test_a_run_that_a_plugin_made_says_which_one_it_needs(
     tmp_path: Path, call: Callable[..., tuple[int, str, str]]
 ) -> None:
@@ -301,3 +292,49 @@ def test_a_run_that_a_plugin_made_says_which_one_it_needs(
     assert refused.returncode == 2
     assert f"give --plugin {plugin}" in refused.stderr
     assert call("compare", str(folder), str(folder), "--plugin", str(plugin))[0] == 0
+
+
+class Part:
+    """A base class."""
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A package of parts, the second of which needs a package that is not installed."""
+    package = tmp_path / "parts_of_a_test"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "first.py").touch()
+    (package / "second.py").write_text("import package_that_is_missing\n")
+    monkeypatch.setattr(plugins, "_REGISTRIES", list(plugins._REGISTRIES))
+    monkeypatch.syspath_prepend(tmp_path)
+    yield tmp_path
+    for name in [n for n in sys.modules if n.startswith(("parts_of_a", "package_that_is"))]:
+        del sys.modules[name]
+
+
+def test_the_missing_package_is_named_at_each_access(home: Path) -> None:
+    table = Registry("part", Part, ("parts_of_a_test",))
+    for access in (lambda: table["first"], lambda: list(table), lambda: len(table)) * 2:
+        with pytest.raises(ModuleNotFoundError, match="package_that_is_missing"):
+            access()
+    (home / "package_that_is_missing.py").touch()
+    assert len(table) == 0
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "raise RuntimeError('own words')",
+        "assert False, 'own words'",
+        "import sys; sys.exit('own words')",
+        "class Odd(Exception): pass\nraise Odd('own words')",
+        "import own_words",
+    ],
+)
+def test_a_plugin_that_fails_at_import_is_told_each_time(body: str, tmp_path: Path) -> None:
+    file = tmp_path / "own.py"
+    file.write_text(body)
+    for _ in range(2):
+        with pytest.raises(InputError, match=r"own\.py.*own.words"):
+            plugins.load([str(file)])

@@ -18,7 +18,7 @@ from hiltestbed.config.yaml_source import dump_yaml, read_source
 from hiltestbed.measured import examine
 from tests.equipment.independent_rig.log import write_set
 from tests.equipment.independent_rig.sets import draw_set
-from tests.equipment.robustness.distortions import DISTORTIONS
+from tests.robustness.distortions import DISTORTIONS
 from tests.slow import ALL, slow
 
 # of every group of channels one unit and one factor shows what the others do

@@ -1,6 +1,5 @@
 """Faults of the world: no space, no place, no reader, no locale, killed. Nothing half-written, and
-the same command goes on.
-"""
+the same command goes on; worker processes leave nothing."""
 
 from __future__ import annotations
 
@@ -10,13 +9,16 @@ import resource
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import pytest
 
 from hiltestbed.compiled.kernel_cache import VARIABLE, settle
 from hiltestbed.config.gallery import shipped
+from hiltestbed.process.workers import Workers
 from hiltestbed.run_folder.store import write_run
 from hiltestbed.scenario import load_scenario
 from hiltestbed.simulation import run
@@ -127,3 +129,58 @@ def test_kernels_have_a_place_where_package_and_home_are_read_only(
     environment = {}
     settle(Path("/usr/lib/hiltestbed"), environment, lambda folder: False)
     assert environment[VARIABLE] != str(hostile)
+
+
+SHARED = Path("/dev/shm")
+
+
+def semaphores() -> set[str]:
+    """Named ones; the shared memory beside them may be of any other process."""
+    return {name for name in os.listdir(SHARED) if name.startswith("sem.")}
+
+
+def die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def fail() -> None:
+    raise ValueError("as it is")
+
+
+def refuse_to_travel() -> object:
+    return lambda: None
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks at the kernel's tables")
+def test_workers_answer_and_leave_nothing() -> None:
+    before = semaphores()
+    pool = Workers(2)
+    try:
+        one, two = pool.submit(divmod, 17, 5), pool.submit(fail)
+        assert one.result() == (3, 2)
+        with pytest.raises(ValueError, match="as it is"):
+            two.result()
+        with pytest.raises((AttributeError, TypeError)):
+            pool.submit(refuse_to_travel).result()
+        assert semaphores() <= before  # whoever is killed now
+        with pytest.raises(BrokenProcessPool):
+            pool.submit(die).result()
+        busy = pool.submit(time.sleep, 600.0)
+    finally:
+        begin = time.monotonic()
+        pool.shutdown(cancel_futures=True)
+    # it was given to a worker, or not yet
+    assert busy.cancelled() or isinstance(busy.exception(), BrokenProcessPool)
+    assert time.monotonic() - begin < 60.0
+    assert not any(child.is_alive() for child in pool._children)
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGHUP", "SIGQUIT"])
+def test_what_a_terminal_sends_to_all_is_for_the_parent(name: str) -> None:
+    pool = Workers(1)
+    try:
+        number = pool.submit(os.getpid).result()
+        os.kill(number, getattr(signal, name))
+        assert pool.submit(os.getpid).result() == number
+    finally:
+        pool.shutdown()

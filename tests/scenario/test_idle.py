@@ -18,6 +18,7 @@ from hiltestbed.scenario import Scenario, dump_scenario, resolved, scenario_from
 from hiltestbed.scenario.idle import given_in_vain, idle_keys
 from hiltestbed.signals import RunTrace
 from hiltestbed.simulation import run_batch
+from tests.slow import slow
 
 BUMPER = shipped("scenarios") / "02-bumper.yaml"
 SHORT = {
@@ -55,7 +56,7 @@ def changed(value: Any) -> Any:
 
 @pytest.mark.parametrize(
     ("kind", "tracking"),
-    [("pss33", "servo"), ("pss33", "response"), ("pss33", "ideal"), ("serial_arm", "response")],
+    [("pss33", "servo"), ("pss33", "response"), slow("serial_arm", "response")],
 )
 def test_keys_that_are_said_to_have_no_effect_have_none(kind, tracking) -> None:
     """All of them changed at once, the same trace to the last bit."""

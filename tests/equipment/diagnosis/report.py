@@ -13,25 +13,11 @@ from tests.equipment.diagnosis.summary import reliability_plot, rig_of
 RATES = {
     "named_rate": "one hidden effect, named (alone or in a set of three)",
     "pair_rate": "two hidden effects, both named",
-    "triple_rate": "three hidden effects, all named",
-    "alike_rate": "one of two effects that look alike, named (alone or in a set of three)",
-    "alike_wrong_rate": "one of two effects that look alike, and another effect named instead",
     "false_alarm_rate": "healthy rigs with a false alarm",
     "foreign_unknown_rate": "effects outside the vocabulary, judged unknown with the right link",
-    "foreign_named_rate": "effects outside the vocabulary, for which one of the vocabulary was "
-    "named",
-    "named_in_part_wrong_rate": "causes named in part that were not hidden, of all sets",
     "abstention_rate": "one or two hidden effects, judged unknown",
-    "docking_named_rate": "one hidden effect in a docking, named",
-    "docking_pair_rate": "two hidden effects in a docking, both named",
-    "docking_false_alarm_rate": "healthy dockings with a false alarm",
-    "docking_foreign_unknown_rate": "effects outside the vocabulary in a docking, judged unknown "
-    "or inconclusive",
     "interval_coverage": "true parameters within their 95 % intervals",
     "gain_ratio": "gain on held-out runs over the true model's gain (median)",
-    "noise_alarm_rate": "healthy rigs with non-white noise, with a false alarm",
-    "cpu_median": "CPU time of a set [s], median",
-    "cpu_longest": "CPU time of a set [s], longest",
 }
 
 
@@ -46,7 +32,7 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
         [text, "-" if summary[name] is None else f"{summary[name]:.3f}"]
         for name, text in RATES.items()
     ]
-    report.table(["figure", "value"], rows, _counted(summary))
+    report.table(["figure", "value"], rows, "Sets of a bumper, effects of full size.")
     if summary["done"] < summary["planned"]:
         report.text(
             f"{summary['done']} of {summary['planned']} sets, in random order, were done in the "
@@ -54,11 +40,12 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
         )
     rows = [
         [g["rig"], g["kind"], g["sets"], g["right"], f"{g['low']:.2f} to {g['high']:.2f}"]
+        + [g["misnamed"]]
         + [f"{g[cpu]:.0f}" for cpu in ("cpu_median", "cpu_longest")]
         for g in summary["groups"]
     ]
     columns = ["rig", "hidden", "sets", "correct", "95 % interval of the share"]
-    columns += ["CPU s, median", "longest"]
+    columns += ["names what was not hidden", "CPU s, median", "longest"]
     report.table(columns, rows, "Each kind of set on each kind of rig.")
     report.figure(
         _strengths(records),
@@ -78,10 +65,6 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
     report.table(
         ["hidden", "named", "sets"], called, "The names that each hidden effect was given."
     )
-    if summary["noise_alarms"]:
-        rows = [list(row) for row in summary["noise_alarms"].items()]
-        caption = "Healthy rigs with non-white noise, and how many of them raised a false alarm."
-        report.table(["noise", "alarms"], rows, caption)
     small = [
         [name, f"{found['strength']:.2g}", _sizes(found)]
         for name, found in summary["smallest_found"].items()
@@ -91,20 +74,11 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
     wrong = []
     for r in records:
         if not r["right"]:
-            rig = rig_of(r, "{} {:g}".format(*r["noise"] or ("", 0)))
             names = _names(r["hidden"]), r["verdict"], _names(r["causes"], "effect")
-            wrong.append([r["seed"], f"{r['kind']}, {rig}", *names])
+            wrong.append([r["seed"], f"{r['kind']}, {rig_of(r)}", *names])
     caption = "All sets that were judged wrongly, or whose effect was not found."
     report.table(["seed", "kind", "hidden", "verdict", "named"], wrong, caption)
     return report
-
-
-def _counted(summary: dict[str, Any]) -> str:
-    bumper, docking = (
-        ", ".join(f"{n} {kind}" for kind, n in summary[sets].items())
-        for sets in ("sets", "docking_sets")
-    )
-    return f"Sets of a bumper: {bumper}; of dockings: {docking}."
 
 
 def _sizes(found: dict[str, Any]) -> str:

@@ -145,23 +145,12 @@ def one_set(task: Task) -> dict[str, Any]:
             | {"indistinguishable_from": list(c.indistinguishable_from)}
             for c in causes
         ],
-        "alarm": alarm_figures(findings),
         "cpu": time.process_time() - start,
         "gain": gain.reduction if gain else None,
         "gain_true": true_gain(findings, verdict, hidden.effects)
         if right and task.kind == "single"
         else None,
     }
-
-
-def alarm_figures(findings: Any) -> dict[str, float]:
-    """How close the links are to an alarm: log evidence of the best single cause over that of none,
-    and the excess over noise.
-    """
-    found = list(findings.explanations.values())
-    best = [e.singles()[0].evidence - e.conclusion.null.evidence for e in found if e.singles()]
-    excess = [e.model.excess(e.conclusion.null.left) for e in found]
-    return {"taken_off": max(best, default=0.0), "excess": max(excess, default=0.0)}
 
 
 def judged_right(

@@ -1,5 +1,5 @@
-"""The trials: ``TRIALS[kind](rng, folder)`` runs a random one and returns how it ended; an
-exception counts as a fault.
+"""Random inputs: ``TRIALS[kind](rng, folder)`` tries one and returns how it ended; an exception is a
+fault.
 """
 
 from __future__ import annotations
@@ -7,7 +7,6 @@ from __future__ import annotations
 import socket
 import tempfile
 from collections.abc import Callable
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,10 +16,9 @@ from numpy.random import Generator
 
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.signals import GROUPS
-from tests.equipment.data_files import WRITERS
-from tests.equipment.robustness.distortions import DISTORTIONS
-from tests.equipment.robustness.kills import good_set, kill
-from tests.equipment.robustness.values import value_of
+from tests.measured import bounce
+from tests.measured.data_files import WRITERS
+from tests.robustness.values import value_of
 
 if TYPE_CHECKING:
     from hiltestbed.config.check import Kind
@@ -29,7 +27,6 @@ SURVIVED, REFUSED, REMARKED = "survived", "refused", "remarked"
 Trial = Callable[[Generator, Path], str]
 MOST_TICKS, MOST_INSTANTS = 600, 12_000  # limits of a scenario that is run, to save time
 ROWS = 40
-_good: dict[str, Any] = {}
 
 
 @cache
@@ -102,14 +99,14 @@ def _stretch(node: Any, rng: Generator) -> None:
 
 def text(rng: Generator, folder: Path) -> str:
     """A scenario file with some bytes changed."""
-    from hiltestbed.config.check import check_file
+    from hiltestbed.config.check import look_at
     from hiltestbed.config.gallery import shipped
 
     files = sorted(shipped("scenarios").glob("*.yaml"))
     path = folder / "text.yaml"
     data = files[int(rng.integers(len(files)))].read_bytes()
     path.write_bytes(mutated(data, rng) if rng.random() < 0.4 else _mistyped(data, rng))
-    return REFUSED if check_file(path)[1] else SURVIVED
+    return REFUSED if look_at(path).faults else SURVIVED
 
 
 def _mistyped(data: bytes, rng: Generator) -> bytes:
@@ -126,7 +123,8 @@ def dataset(rng: Generator, folder: Path) -> str:
     from hiltestbed.config.check import look_at
     from hiltestbed.config.yaml_source import dump_yaml
 
-    _good_set(folder)
+    if not (folder / "nominal.yaml").exists():
+        bounce.write_dataset(folder, bounce.columns())
     data = value_of(_schema("dataset"), rng)
     if isinstance(data, dict) and rng.random() < 0.8:
         data["scenario"] = "nominal.yaml"
@@ -140,75 +138,17 @@ def dataset(rng: Generator, folder: Path) -> str:
     return REFUSED if found.faults else REMARKED if found.remarks else SURVIVED
 
 
-def distortion(rng: Generator, folder: Path) -> str:
-    """A valid record, distorted once or twice."""
-    from hiltestbed.measured import examine
-
-    tables = _good_set(folder)
-    several = 1 if rng.random() < 0.7 else 2
-    names = [str(n) for n in rng.choice(list(DISTORTIONS), size=several, replace=False)]
-    for name, good in tables.items():
-        table = {column: values.copy() for column, values in good.items()}
-        for distorted in names:
-            # the first may have removed what the second would change
-            with suppress(KeyError, IndexError):
-                DISTORTIONS[distorted].apply(table)
-        _write(folder / f"distorted_{name}", table)
-    (folder / "distorted.yaml").write_text(
-        "scenario: nominal.yaml\nruns:\n" + "".join(f"  - file: distorted_{n}\n" for n in tables)
-    )
-    try:
-        remarks = examine(folder / "distorted.yaml").remarks
-    except InputError:
-        return REFUSED
-    errors = [r for r in remarks if r.severity == "error"]
-    return REFUSED if errors else REMARKED if remarks else f"taken as it is: {', '.join(names)}"
-
-
-def _good_set(folder: Path) -> dict[str, dict[str, np.ndarray]]:
-    """Tables of a valid set, made once beside ``folder`` for all workers, with its scenario in
-    ``folder``.
-    """
-    import pyarrow.parquet as pq
-
-    if "tables" not in _good:
-        made = good_set(folder.parent)
-        file = min(made.glob("run_*.parquet"))
-        read = pq.read_table(file)
-        columns = zip(read.column_names, read.columns, strict=True)
-        _good["scenario"] = (made / "nominal.yaml").read_text()
-        _good["tables"] = {file.name: {n: c.to_numpy().copy() for n, c in columns}}
-    if not (folder / "nominal.yaml").exists():
-        (folder / "nominal.yaml").write_text(_good["scenario"])
-        for name, table in _good["tables"].items():
-            _write(folder / name, table)
-    return _good["tables"]
-
-
-def _write(path: Path, table: dict[str, np.ndarray]) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    pq.write_table(pa.table(table), path)
-
-
 def data_file(rng: Generator, folder: Path) -> str:
-    """A data file of one of the formats with some bytes changed; read in this process, so
-    that a crash is detected.
-    """
-    from hiltestbed.measured.formats import format_of
+    """A data file of one of the formats with some bytes changed."""
+    from hiltestbed.measured.formats import read_columns
 
     name = list(WRITERS)[int(rng.integers(len(WRITERS)))]
     path = folder / name
     path.write_bytes(mutated(_seed_file(name), rng))
     try:
-        format_of(path).read(path, frozenset({"t", "pose_act.pz", "wrench_meas.fz"}))
+        read_columns(path, frozenset({"t", "pose_act.pz", "wrench_meas.fz"}))
     except HiltestbedError:
         return REFUSED
-    except MemoryError:  # refused by the process in which the format is read
-        if format_of(path).apart:
-            return "contained"
-        raise
     return SURVIVED
 
 
@@ -347,9 +287,7 @@ TRIALS: dict[str, Trial] = {
     "extremes": extremes,
     "text": text,
     "dataset": dataset,
-    "distortion": distortion,
     "file": data_file,
     "campaign": campaign,
     "packet": packet,
-    "kill": kill,
 }
