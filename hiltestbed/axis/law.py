@@ -147,38 +147,12 @@ def held(p, x, t):
 
 
 @njit(cache=True)
-def force_along(t, x, v, a, way, p, sliders, branches, first):
+def force_along(t, x, v, a, way, p, sliders, branches, stroke):
     """``(N,)`` force [N] along a motion: time [s], position, speed, acceleration (N,), and the mean
-    sign of the speed (N,) over what each row stands for, -1 to 1.
-
-    ``first``: (M,) force [N] measured at the first rows. What bent the sliders before is not on
-    record; it is taken for one stroke, after which the first rows are met best. Without rows they
-    are unbent.
+    sign of the speed (N,) over what each row stands for, -1 to 1. A ``stroke`` [m] has bent the
+    sliders before.
     """
     out = np.empty(len(t))
-    most = 0.0  # stroke after which all sliders slip
-    for i in range(sliders.shape[0]):
-        if sliders[i, FORCE] > 0.0:
-            most = max(most, sliders[i, FORCE] / sliders[i, STIFFNESS] + 0.5 * p[PLAY])
-    stroke = 0.0
-    if len(first) and most > 0.0:
-        reach, best = most, np.inf
-        while reach > STROKE_END * most:
-            centre = stroke
-            for j in range(-STROKES, STROKES + 1):
-                tried = min(max(centre + reach * j / STROKES, -most), most)
-                _along(t, x, v, a, way, p, sliders, branches, tried, out[: len(first)])
-                missed = np.sum((out[: len(first)] - first) ** 2)
-                if missed < best:
-                    stroke, best = tried, missed
-            reach /= STROKES
-    _along(t, x, v, a, way, p, sliders, branches, stroke, out)
-    return out
-
-
-@njit(cache=True)
-def _along(t, x, v, a, way, p, sliders, branches, stroke, out):
-    """Write the force along a motion, whose sliders are bent by a ``stroke`` [m], to ``out``."""
     at = np.empty(sliders.shape[0])  # where each slider stands
     bent = np.zeros(sliders.shape[0])
     for i in range(sliders.shape[0]):
@@ -188,7 +162,7 @@ def _along(t, x, v, a, way, p, sliders, branches, stroke, out):
         bent[i] = min(max(stiff * stroke, -most), most)
     stress = np.zeros(branches.shape[0])
     lagged = 0.0
-    for k in range(len(out)):
+    for k in range(len(t)):
         dt = t[k] - t[k - 1] if k > 0 else 0.0
         step = x[k] - x[k - 1] if k > 0 else 0.0
         loss = viscous(p, v[k])
@@ -229,6 +203,34 @@ def _along(t, x, v, a, way, p, sliders, branches, stroke, out):
         else:
             lagged = loss
         out[k] = rest + loss
+    return out
+
+
+@njit(cache=True)
+def stroke_before(t, x, v, a, way, p, sliders, branches, first):
+    """Stroke [m] before a motion, after which its first rows are closest to the ``first`` (M,)
+    forces measured [N]; 0 without rows. The motion is that of :func:`force_along`.
+
+    What bent the sliders before a record is not on it; it is taken for one stroke.
+    """
+    most = 0.0  # after which all sliders slip
+    for i in range(sliders.shape[0]):
+        if sliders[i, FORCE] > 0.0:
+            most = max(most, sliders[i, FORCE] / sliders[i, STIFFNESS] + 0.5 * p[PLAY])
+    stroke, m = 0.0, len(first)
+    if m == 0 or most == 0.0:
+        return stroke
+    reach, best = most, np.inf
+    while reach > STROKE_END * most:
+        centre = stroke
+        for j in range(-STROKES, STROKES + 1):
+            tried = min(max(centre + reach * j / STROKES, -most), most)
+            force = force_along(t[:m], x[:m], v[:m], a[:m], way[:m], p, sliders, branches, tried)
+            missed = np.sum((force - first) ** 2)
+            if missed < best:
+                stroke, best = tried, missed
+        reach /= STROKES
+    return stroke
 
 
 @njit(cache=True)

@@ -22,6 +22,7 @@ from hiltestbed.axis.law import (
     AxisLaw,
     force_along,
     motion_under,
+    stroke_before,
 )
 from hiltestbed.axis.motion import Motion, States, even, motion_of, noise_of
 from hiltestbed.axis.related import related
@@ -452,7 +453,8 @@ def started(r: AxisRun, late: float, law: Array) -> tuple[float, float]:
 
 def along(m: Motion, law: AxisLaw, first: Array = NOT_MEASURED) -> Array:
     """(N,) force of a ``law`` along a motion, of which the force at its ``first`` rows is known."""
-    return force_along(m.t, m.x, m.v, m.a, m.way, law.numbers, law.sliders, law.branches, first)
+    motion = m.t, m.x, m.v, m.a, m.way, law.numbers, law.sliders, law.branches
+    return force_along(*motion, stroke_before(*motion, first))
 
 
 MODELS: dict[AxisKind, type[AxisModel]] = {
