@@ -60,16 +60,16 @@ def _entry(path: str, keys: Sequence[Key]) -> str:
     for key in keys:
         variants.setdefault((key.value, key.meaning), {})["/".join(key.kinds)] = None
     values = {value for value, _ in variants}
-    if len(variants) == 1:
-        kinds = ", ".join(filter(None, next(iter(variants.values()))))
-        where = f"{path} (kind: {kinds})" if kinds else path
-        return f"{where}: {keys[0].value}\n    {keys[0].meaning}"
     shared = values.pop() if len(values) == 1 else ""
-    lines = [f"{path}: {shared}" if shared else path]
+    lines = []
     for (value, meaning), kinds in variants.items():
         own = f" ({value})" if value != shared else ""
         lines.append(f"    {', '.join(kinds)}{own}: {meaning}")
-    return "\n".join(lines)
+    if len(variants) == 1:
+        kinds = ", ".join(filter(None, next(iter(variants.values()))))
+        path = f"{path} (kind: {kinds})" if kinds else path
+        lines = [f"    {keys[0].meaning}"]
+    return "\n".join([f"{path}: {shared}" if shared else path, *lines])
 
 
 def keys_of(schema: Mapping[str, Any]) -> Iterator[Key]:
