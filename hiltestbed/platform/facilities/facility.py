@@ -5,6 +5,12 @@ kinematics and drives; the plant uses neither its name nor its joints. In W, the
 composed model, z points along the insertion and the origin is the nominal position of the passive
 port P; at home the site `mount`, which carries the active mechanism, is at :data:`MOUNT_HOME`, with
 W's attitude.
+
+What an acceleration takes of the drives (:func:`force_shares`): joint accelerations a that move the
+tool and keep the loops closed satisfy J a = (tool, 0). The drives' forces f, the loads r in locked
+joints and l in the loops then satisfy M a = S' f + L' r + C' l (R. Featherstone, Rigid Body
+Dynamics Algorithms, 2008, equation 8.6), S, L and C the rows of the Jacobian of driven joints,
+locked joints and loops.
 """
 
 from __future__ import annotations
@@ -20,7 +26,6 @@ import numpy as np
 from hiltestbed.config.models import load
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.demand import force_shares
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.mover import Mover, Runs
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
@@ -94,7 +99,7 @@ class Facility(ABC):
     @cached_property
     def force_shares(self) -> Array:
         """``(J, 6)`` share of the drives' forces that an acceleration of the mount takes, see
-        :func:`hiltestbed.platform.facilities.demand.force_shares`.
+        :func:`hiltestbed.platform.facilities.facility.force_shares`.
         """
         return force_shares(self._bare_model, self.bare)
 
@@ -140,3 +145,35 @@ def set_steps(spec: mujoco.MjSpec, timestep: float) -> None:
 
 
 LOOPS = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_JOINT)
+
+
+def force_shares(model: mujoco.MjModel, kinematics: Kinematics) -> Array:
+    """``(J, 6)`` share of each drive's force, beyond its load at rest, that a unit acceleration of
+    the first tool takes at home, in W [s^2/m, s^2/rad]; 1 is all that the drive has.
+
+    Springs (the deflection of gears) and prescribed joints (a rail) are locked.
+    """
+    data = mujoco.MjData(model)
+    data.qpos = kinematics.home
+    jacobian = model.opt.jacobian
+    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    mujoco.mj_forward(model, data)
+    model.opt.jacobian = jacobian
+    tool = np.zeros((6, model.nv))
+    mujoco.mj_jacSite(model, data, tool[:3], tool[3:], model.site(kinematics.tools[0]).id)
+    closed = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    loops = data.efc_J.reshape(-1, model.nv)[closed]
+    held = [model.joint(name).id for name in kinematics.prescribed]
+    locked = np.isin(model.dof_jntid, [*held, *np.flatnonzero(model.jnt_stiffness)])
+    rows = np.eye(model.nv)
+    fixed = np.vstack([rows[locked], loops])
+    rates = np.linalg.pinv(np.vstack([tool, fixed]))[:, :6]
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    free = ~locked[kinematics.v]
+    driven, most = kinematics.v[free], np.array([axis.force for axis in kinematics.axes])[free]
+    forces = np.linalg.pinv(np.vstack([rows[driven], fixed]).T)[: len(driven)]
+    weight = forces @ (data.qfrc_bias - data.qfrc_gravcomp)
+    # a drive that cannot hold the weight has nothing left
+    left = np.maximum(most - np.abs(weight), np.finfo(float).eps * most)
+    return forces @ mass @ rates / left[:, None]

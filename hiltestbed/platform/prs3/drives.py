@@ -1,8 +1,8 @@
 """The upper platform with its three drives, in MuJoCo, and the payload's load on the force sensor.
 
 Only runs whose upper platform is not clamped at home are stepped. The control law of a drive is
-that of the lower platform (:mod:`hiltestbed.platform.pss33.servo`), with feed-forward of the forces
-for the planned motion and gravity. The payload's weight and inertia in the planned motion
+that of the lower platform (:mod:`hiltestbed.platform.pss33.drives`), with feed-forward of the
+forces for the planned motion and gravity. The payload's weight and inertia in the planned motion
 (:mod:`hiltestbed.platform.payload`) are subtracted from the sensor's reading; the residual is
 due to the difference between planned and actual acceleration. The passive mechanism moves with the
 platform as one rigid body: a compliant mount is assumed locked until the upper platform is clamped.
@@ -26,7 +26,7 @@ from hiltestbed.platform import model
 from hiltestbed.platform.facilities.mover import has_diverged
 from hiltestbed.platform.payload import GRAVITY, carry, load_of
 from hiltestbed.platform.prs3.geometry import Upper, jacobian, motion, place, slider, write_joints
-from hiltestbed.platform.pss33.dynamics import add_force, invert, load_constants
+from hiltestbed.platform.pss33.drives import add_force, invert, load_constants
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -129,7 +129,7 @@ def _drive_forces(upper, constants, x, moved, slider_accel, force):
 def _aim(upper, dt, constants, payload, plan, away, xs):
     """Plan a tick.
 
-    constants: (16,) (:func:`hiltestbed.platform.pss33.dynamics.load_constants`). payload: (13,).
+    constants: (16,) (:func:`hiltestbed.platform.pss33.drives.load_constants`). payload: (13,).
         xs: (n, m, 3) coordinates at the ends of the substeps.
     """
     pose, twist, target, velocity = plan.pose, plan.twist, plan.target, plan.velocity
