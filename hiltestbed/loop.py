@@ -27,8 +27,7 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.phases import Phases
 from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
-from hiltestbed.platform.free_motion import FreeMotion
-from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.plant import FreeMotion, Plant
 from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.sensor import Sensors
 from hiltestbed.signals import Trace

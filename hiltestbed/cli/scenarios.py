@@ -166,7 +166,7 @@ def rig(
     hiltestbed rig my-rig.yaml --model rig.mjb && python -m mujoco.viewer --mjcf rig.mjb
     """
     if model is not None:
-        from hiltestbed.platform.model_file import write_model
+        from hiltestbed.platform.plant import write_model
 
         print(write_model(read_scenario(scenario, sets), model))
         return

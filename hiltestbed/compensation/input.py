@@ -97,7 +97,6 @@ class LoopDeadzone(Effect):
     reference = "guard against drift of the numerical model"
     resembles = ("sensor.deadzone",)
     repeats = True
-    leading = "width"
     jumps = "width"
 
     def apply(self, p: InputParameters) -> None:

@@ -31,7 +31,7 @@ class ContactParameters:
             pulling force.
         frame: [N/m] of the sensor's frame in series; 0: rigid. offset: [m] by which the touch comes
             later.
-        captured: 1 if the mechanism pulls as well as pushes. play: [m] in a captured mechanism.
+        play: [m] in a captured mechanism.
             mode [rad/s], mode_damping [-], mode_mass [kg]: of the frame's mode; reaction: 1 if the
             sensor reads the frame's reaction.
         tilt_x, tilt_y: [rad] of the passive port. lever: point of application of the force, 0 at
@@ -62,7 +62,6 @@ class ContactParameters:
     adhesion: float = 0.0
     frame: float = 0.0
     offset: float = 0.0
-    captured: float = 0.0
     play: float = 0.0
     mode: float = 0.0
     mode_damping: float = 0.0
@@ -84,11 +83,9 @@ class ContactParameters:
     spring_over_rate: Array = field(default_factory=lambda: packed(()))
 
     @classmethod
-    def believed(cls, contact: Contact, captured: bool = False) -> ContactParameters:
+    def believed(cls, contact: Contact) -> ContactParameters:
         """The nominal contact: the settings of a scenario, without effects."""
-        return cls(
-            contact.stiffness, contact.damping, friction=contact.friction, captured=float(captured)
-        )
+        return cls(contact.stiffness, contact.damping, friction=contact.friction)
 
     def with_effects(self, effects: Iterable[Effect]) -> ContactParameters:
         """Apply those of ``effects`` that act on the contact, in place; returns itself."""
@@ -113,8 +110,8 @@ class ContactParameters:
 
 def believed_contacts(mechanism: Mechanism) -> list[ContactParameters]:
     """The nominal contact of each rule of a mechanism, and last of its latch, without effects."""
-    found = [ContactParameters.believed(c) for c in mechanism.contacts()]
-    return [*found, ContactParameters.believed(mechanism.latch_contact(), mechanism.captured)]
+    contacts = (*mechanism.contacts(), mechanism.latch_contact())
+    return [ContactParameters.believed(c) for c in contacts]
 
 
 def contact_rows(
@@ -151,7 +148,6 @@ NUMBERS = tuple(name for name in NAMES if name not in CURVES)
     ADHESION,
     FRAME,
     OFFSET,
-    CAPTURED,
     PLAY,
     MODE,
     MODE_DAMPING,

@@ -53,9 +53,9 @@ class Departure(Strictly):
         resembles: effects that it is easily mistaken for. repeats: whether two of its kind may act
             together. parallel: whether a search may take several with numbers of their own, side by
             side.
-        leading: the parameter that sets its size. vanishes: whether the effect becomes smaller as
-            that parameter grows (a limit). jumps: the parameter on which the prediction depends
-            discontinuously, or "".
+        leading: the parameter that sets its size, by default the first. vanishes: whether the
+            effect becomes smaller as that parameter grows (a limit). jumps: the parameter on which
+            the prediction depends discontinuously, or "".
         rich: whether it has so many parameters that it is tried only where effects with fewer leave
             more than noise.
     """
@@ -73,6 +73,10 @@ class Departure(Strictly):
     rich: ClassVar[bool] = False
     excludes: ClassVar[tuple[str, ...]] = ()  # kinds in place of which it acts
     same: ClassVar[tuple[str, ...]] = ()  # kinds from which no record tells it, unless searched too
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **options: Any) -> None:
+        cls.leading = cls.leading or next((n for n in cls.model_fields if n != "kind"), "")
 
     _variant: Mapping[str, Any] = PrivateAttr(default_factory=dict)
 

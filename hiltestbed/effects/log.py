@@ -41,7 +41,6 @@ class LogSkew(Effect):
     reference = "clock of the recorder"
     resembles = ("sensor.delay", "contact.damping")
     repeats = True
-    leading = "delay"
     jumps = "delay"
 
     def apply(self, p: LogParameters) -> None:

@@ -48,7 +48,6 @@ class DynamicsMass(Effect):
     reference = "Newton"
     resembles = ("dynamics.appendage",)
     repeats = True
-    leading = "factor"
 
     def apply(self, p: DynamicsParameters) -> None:
         p.mass[BODIES.index(self.body)] *= self.factor
@@ -76,7 +75,6 @@ class DynamicsInertia(Effect):
     reference = "Euler"
     resembles = ("dynamics.port_offset",)
     repeats = True
-    leading = "factor"
 
     def apply(self, p: DynamicsParameters) -> None:
         p.inertia[BODIES.index(self.body)] *= self.factor
@@ -100,7 +98,6 @@ class DynamicsPortOffset(Effect):
     reference = "lever arm of the contact force"
     resembles = ("dynamics.inertia",)
     repeats = True
-    leading = "offset"
 
     def apply(self, p: DynamicsParameters) -> None:
         p.port[BODIES.index(self.body)] += self.offset
@@ -149,7 +146,6 @@ class DynamicsAppendage(Effect):
     reference = "slosh or flexible panel, pendulum model"
     resembles = ("dynamics.mass",)
     repeats = True
-    leading = "mass_ratio"
 
     def apply(self, p: DynamicsParameters) -> None:
         w = 2.0 * math.pi * self.frequency
@@ -299,7 +295,6 @@ class DynamicsStepDelay(Effect):
     reference = "transport within the loop"
     resembles = ("dynamics.integrator",)
     repeats = True
-    leading = "ticks"
 
     def apply(self, p: DynamicsParameters) -> None:
         p.late += self.ticks
@@ -328,7 +323,6 @@ class DynamicsIntegrator(Effect):
     equation = "pose integrated with the old twist, then the twist"
     reference = "explicit Euler"
     resembles = ("dynamics.step_delay",)
-    leading = "scheme"
 
     def apply(self, p: DynamicsParameters) -> None:
         p.explicit = True

@@ -17,25 +17,22 @@ from hiltestbed.effects.table import by_link
 from hiltestbed.errors import InputError
 from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose
 from hiltestbed.platform.facilities.air_bearing import AirBearing
+from hiltestbed.platform.facilities.arms import SerialArm, TwoArms
 from hiltestbed.platform.facilities.bodies import Article, PhysicalFacility
 from hiltestbed.platform.facilities.composed import TOOL, facility_model
 from hiltestbed.platform.facilities.demand import Demand, demand
 from hiltestbed.platform.facilities.facility import Facility
 from hiltestbed.platform.facilities.mjcf import MjcfFacility
-from hiltestbed.platform.facilities.serial_arm import SerialArm
 from hiltestbed.platform.facilities.settings import Driven
 from hiltestbed.platform.facilities.stewart import Stewart
 from hiltestbed.platform.facilities.suspension import Suspension
-from hiltestbed.platform.facilities.two_arms import TwoArms
 from hiltestbed.platform.kinds import Platform
-from hiltestbed.platform.pss33.facility import Pss33Facility
+from hiltestbed.platform.pss33.drives import Pss33Facility
 from hiltestbed.platform.pss33.settings import Pss33
-from hiltestbed.platform.shipped.air_bearing import AirBearingSettings
+from hiltestbed.platform.shipped.arms import SerialArmSettings, TwoArmsSettings
+from hiltestbed.platform.shipped.halls import AirBearingSettings, SuspensionSettings
 from hiltestbed.platform.shipped.mjcf import MjcfSettings
-from hiltestbed.platform.shipped.serial_arm import SerialArmSettings
 from hiltestbed.platform.shipped.stewart import StewartSettings
-from hiltestbed.platform.shipped.suspension import SuspensionSettings
-from hiltestbed.platform.shipped.two_arms import TwoArmsSettings
 
 if TYPE_CHECKING:
     from hiltestbed.scenario.like import ScenarioLike as Scenario

@@ -6,17 +6,20 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.contact.engagement import Engagement
 from hiltestbed.contact.jacobian import held_pair
 from hiltestbed.contact.phases import LatchCondition, Phases
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform import build
 from hiltestbed.platform.build import structure
 from hiltestbed.platform.driven import ServoTracking
@@ -194,3 +197,59 @@ class Plant:
         assert isinstance(self._tracking, IdealTracking)
         self._tracking.carry(poses, twists)
         self._conclude()
+
+
+class MovedBodies(Protocol):
+    """What is read of a plant whose bodies move freely: pose ``(n, 7)``, twist ``(n, 6)``, and the
+    wrench ``(n, substeps, 6)`` of each physics step.
+    """
+
+    pose_act: Array
+    twist_act: Array
+    wrench_sub: Array
+
+
+class FreeMotion:
+    """The motion of `n` pairs of bodies: the recorded commanded pose is the actual one, the wrench
+    used is the physical one.
+
+    That wrench is a view of the plant's array, which may be filled only after the tick has begun.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario], plant: MovedBodies) -> None:
+        start = np.array([approach_state(s) for s in scenarios])
+        self.pose: Array = start[:, :7].copy()
+        self.twist: Array = start[:, 7:].copy()
+        self.wrench: Array = plant.wrench_sub[:, -1]
+        self._plant = plant
+
+    def advance(self, measurement: Measurement) -> None:
+        """Copy pose and twist of the bodies at t_k."""
+        self.pose[:], self.twist[:] = self._plant.pose_act, self._plant.twist_act
+
+
+WRITERS = {
+    ".mjb": lambda model, name: mujoco.mj_saveModel(model, name, None),
+    ".txt": mujoco.mj_printModel,
+}
+
+
+def write_model(scenario: Scenario, file: Path) -> Path:
+    """Write the model that the loop steps, with the numbers of the scenario that MuJoCo keeps in
+    it, and return ``file``: .mjb in MuJoCo's binary form, .txt with every body, joint and pair.
+
+    Raises:
+        InputError: another suffix, or the file cannot be written.
+    """
+    write = WRITERS.get(file.suffix)
+    if write is None:
+        raise InputError(
+            f"--model: no such format (got {file.name}); allowed are {', '.join(WRITERS)}"
+        )
+    model = Plant([scenario]).model
+    try:
+        file.write_bytes(b"")  # MuJoCo itself does not say why it cannot write
+        write(model, str(file))
+    except OSError as error:
+        raise InputError(f"{file}: cannot be written ({error.strerror}); choose another") from None
+    return file

@@ -45,7 +45,6 @@ class SensorBias(Effect):
     reference = "tare error"
     resembles = ("sensor.drift",)
     repeats = True
-    leading = "force"
 
     def apply(self, p: SensorParameters) -> None:
         p.offset += np.concatenate([self.force, self.torque])
@@ -69,7 +68,6 @@ class SensorDrift(Effect):
     reference = "charge-amplifier leakage current"
     resembles = ("sensor.bias", "sensor.highpass")
     repeats = True
-    leading = "rate"
 
     def apply(self, p: SensorParameters) -> None:
         p.drift[AXES.index(self.axis)] += self.rate
@@ -146,7 +144,6 @@ class SensorGain(Effect):
     reference = "calibration error"
     resembles = ("contact.stiffness",)
     repeats = True
-    leading = "factor"
 
     def apply(self, p: SensorParameters) -> None:
         p.gain[WRENCH_AXES.index(self.axis)] *= self.factor
@@ -181,7 +178,6 @@ class SensorCrosstalk(Effect):
     reference = "calibration-matrix error"
     resembles = ("contact.misalignment", "contact.surface_friction")
     repeats = True
-    leading = "ratio"
 
     def apply(self, p: SensorParameters) -> None:
         p.cross[WRENCH_AXES.index(self.axis), WRENCH_AXES.index(self.source)] += self.ratio
@@ -205,7 +201,6 @@ class SensorDeadzone(Effect):
     reference = "dead zone of an analogue-to-digital conversion"
     resembles = ("loop.deadzone",)
     repeats = True
-    leading = "width"
     jumps = "width"
 
     def apply(self, p: SensorParameters) -> None:
@@ -232,7 +227,6 @@ class SensorSaturation(Effect):
     reference = "range of the sensor or of its amplifier"
     resembles = ("contact.power_law",)
     repeats = True
-    leading = "limit"
     vanishes = True
     jumps = "limit"
 
@@ -259,7 +253,6 @@ class SensorDelay(Effect):
     reference = "pure transport delay"
     resembles = ("contact.damping", "log.skew", "sensor.lag")
     repeats = True
-    leading = "delay"
     jumps = "delay"
 
     def apply(self, p: SensorParameters) -> None:
@@ -288,7 +281,6 @@ class SensorJitter(Effect):
     reference = "sampling jitter"
     resembles = ("sensor.delay",)
     repeats = True
-    leading = "sigma"
 
     def apply(self, p: SensorParameters) -> None:
         p.jitter = math.hypot(p.jitter, self.sigma)
@@ -317,7 +309,6 @@ class SensorLag(Effect):
     reference = "first-order low-pass, 1/(1 + s T)"
     resembles = ("sensor.delay",)
     repeats = True
-    leading = "time_constant"
 
     def apply(self, p: SensorParameters) -> None:
         p.lag.append(self.time_constant)
@@ -349,7 +340,6 @@ class SensorHighpass(Effect):
     reference = "charge amplifier, s T/(1 + s T)"
     resembles = ("contact.relaxation", "sensor.drift")
     repeats = True
-    leading = "time_constant"
     vanishes = True
 
     def apply(self, p: SensorParameters) -> None:
@@ -387,7 +377,6 @@ class SensorMap(Effect):
     reference = "calibration curve"
     resembles = ("sensor.gain", "sensor.saturation", "contact.power_law")
     repeats = True
-    leading = "reading"
 
     def apply(self, p: SensorParameters) -> None:
         p.curve[WRENCH_AXES.index(self.axis)] = self.reading
@@ -426,7 +415,6 @@ class SensorRotation(Effect):
     reference = "mounting error"
     resembles = ("sensor.crosstalk", "contact.misalignment", "contact.surface_friction")
     repeats = True
-    leading = "angles_deg"
 
     def apply(self, p: SensorParameters) -> None:
         quaternion = np.empty(4)

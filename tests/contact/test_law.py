@@ -34,7 +34,7 @@ def law(
 ) -> Array:
     """(N,) forces at penetrations x [m] and rates v [m/s], 0.1 ms apart."""
     row = (
-        ContactParameters(k, c, captured=float(held))
+        ContactParameters(k, c)
         .with_effects([EFFECTS[kind].hypothesis({}, **p) for kind, p in effects.items()])
         .row()
     )
@@ -134,7 +134,7 @@ def test_a_latch_that_turns_freely_bears_forces_alone() -> None:
 
     def exerted(ring: float) -> Array:
         out = np.empty(6)
-        row = ContactParameters(1e5, 900.0, captured=1.0, ring=ring).row()
+        row = ContactParameters(1e5, 900.0, ring=ring).row()
         latch_wrench(row, 1e-4, pose, twist, hold, np.zeros(STATES), np.empty((4, 7)), out)
         return out
 
@@ -149,8 +149,8 @@ def test_a_latch_that_turns_freely_bears_forces_alone() -> None:
 def test_a_frame_gives_way_along_the_insertion_alone(variant: dict[str, str]) -> None:
     """Forces across and moments are those of a rigid frame, however its damper is read."""
     stiffness, frame = 1e5, 4e5
-    rigid = ContactParameters(stiffness, 900.0, captured=1.0)
-    gives = ContactParameters(stiffness, 900.0, captured=1.0).with_effects(
+    rigid = ContactParameters(stiffness, 900.0)
+    gives = ContactParameters(stiffness, 900.0).with_effects(
         [EFFECTS["frame.compliance"].hypothesis(variant, stiffness=frame)]
     )
     hold, half = np.array([0.0, 0, 0, 0, 0, 0, 1]), 1e-3

@@ -18,7 +18,7 @@ from hiltestbed.platform.prs3.allocation import (
     upper_coordinates,
 )
 from hiltestbed.platform.prs3.geometry import HEAVE, TILT, Upper, place
-from hiltestbed.platform.prs3.upper import SETTLE
+from hiltestbed.platform.prs3.nine_axes import SETTLE
 from tests.platform.halls import apart
 from tests.platform.rigs import scenario
 

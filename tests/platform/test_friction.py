@@ -12,7 +12,7 @@ import pytest
 
 from hiltestbed.frames import Array
 from hiltestbed.platform.friction import BRISTLE, DriveFriction
-from hiltestbed.platform.pss33.servo import PRESLIDING
+from hiltestbed.platform.pss33.drives import PRESLIDING
 from hiltestbed.platform.pss33.settings import Pss33
 from hiltestbed.scenario import Scenario, scenario_from
 from tests.platform.rigs import scenario

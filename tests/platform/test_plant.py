@@ -11,7 +11,7 @@ from hiltestbed.errors import InputError
 from hiltestbed.platform.build import built
 from hiltestbed.platform.facilities.stand import Stand
 from hiltestbed.platform.plant import Plant
-from hiltestbed.platform.pss33.servo import KP, KV, SliderDrives
+from hiltestbed.platform.pss33.drives import KP, KV, SliderDrives
 from tests.platform.rigs import pose, scenario
 from tests.running import shipped
 

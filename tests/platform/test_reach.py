@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.frames import pose_step
+from hiltestbed.platform.facilities.arms import share_out
 from hiltestbed.platform.facilities.facility import MOUNT, MOUNT_HOME, Facility, compiled
 from hiltestbed.platform.facilities.tree import between, compose
-from hiltestbed.platform.facilities.two_arms import share_out
 from tests.platform.halls import TABLE, apart, arm, arms, facility, mujoco_pose, poses, stewart
 
 NEAR = 1e-6  # [m], [rad]

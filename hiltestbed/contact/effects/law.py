@@ -50,7 +50,6 @@ class ContactDamping(ContactEffect):
     reference = "viscous damper"
     resembles = ("sensor.delay", "log.skew", "contact.hunt_crossley")
     repeats = True
-    leading = "factor"
 
     def apply(self, p: ContactParameters) -> None:
         p.damping *= self.factor
@@ -71,7 +70,6 @@ class ContactHuntCrossley(ContactEffect):
     equation = "F = k x (1 + alpha v)"
     reference = "K. H. Hunt, F. R. E. Crossley, ASME J. Appl. Mech. 42, 1975"
     resembles = ("contact.damping",)
-    leading = "alpha"
 
     def apply(self, p: ContactParameters) -> None:
         p.alpha = self.alpha
@@ -106,7 +104,6 @@ class ContactDryFriction(ContactEffect):
     )
     reference = "Coulomb; with a stiffness G. M. Jenkins, J. Br. Nucl. Energy Soc. 1, 1962"
     resembles = ("contact.damping", "contact.preload")
-    leading = "force"
 
     def apply(self, p: ContactParameters) -> None:
         p.dry += self.force
@@ -137,7 +134,6 @@ class ContactRelaxation(ContactEffect):
     equation = "F += z, z' = stiffness v - z/time_constant"
     reference = "Maxwell branch of the standard linear solid"
     resembles = ("sensor.highpass", "contact.damping")
-    leading = "stiffness"
 
     def apply(self, p: ContactParameters) -> None:
         p.branch_stiffness, p.branch_time = self.stiffness, self.time_constant
@@ -176,7 +172,6 @@ class FrameCompliance(ContactEffect):
     equation = "x = pz - F/stiffness"
     reference = "springs in series"
     resembles = ("contact.stiffness",)
-    leading = "stiffness"
     vanishes = True
 
     def apply(self, p: ContactParameters) -> None:
@@ -311,7 +306,6 @@ class ContactMap(ContactEffect):
         "contact.damping",
         "contact.dry_friction",
     )
-    leading = "penetration"
 
     def apply(self, p: ContactParameters) -> None:
         p.over_penetration = packed(self.penetration)
@@ -340,7 +334,6 @@ class ContactStiffness(ContactEffect):
     reference = "Hooke"
     resembles = ("frame.compliance", "sensor.gain")
     repeats = True
-    leading = "factor"
 
     def apply(self, p: ContactParameters) -> None:
         p.stiffness *= self.factor
@@ -369,7 +362,6 @@ class ContactPowerLaw(ContactEffect):
     equation = "F = stiffness x^exponent + c v"
     reference = "Hertz for exponent 1.5"
     resembles = ("contact.stiffness", "sensor.saturation")
-    leading = "exponent"
 
     def apply(self, p: ContactParameters) -> None:
         p.exponent, p.power_stiffness = self.exponent, self.stiffness
@@ -408,7 +400,6 @@ class ContactHardStop(ContactEffect):
     equation = "F += stiffness (x - position) while x > position"
     reference = "bilinear buffer"
     resembles = ("contact.power_law",)
-    leading = "position"
     vanishes = True
     jumps = "position"
 
@@ -437,7 +428,6 @@ class ContactPreload(ContactEffect):
     reference = "preloaded buffer spring"
     resembles = ("contact.dry_friction", "contact.touch_offset")
     repeats = True
-    leading = "force"
 
     def apply(self, p: ContactParameters) -> None:
         p.preload += self.force

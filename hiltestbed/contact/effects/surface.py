@@ -35,7 +35,6 @@ class ContactSurfaceFriction(ContactEffect):
     equation = "F_t = coefficient |F| v_t/sqrt(v_t^2 + (1e-4)^2)"
     reference = "Coulomb, regularised"
     resembles = ("sensor.crosstalk", "contact.misalignment")
-    leading = "coefficient"
 
     def apply(self, p: ContactParameters) -> None:
         p.friction = self.coefficient
@@ -56,7 +55,6 @@ class ContactAdhesion(ContactEffect):
     reference = "magnet or latch pull"
     resembles = ("contact.damping",)
     repeats = True
-    leading = "force"
 
     def apply(self, p: ContactParameters) -> None:
         p.adhesion += self.force
@@ -89,7 +87,6 @@ class ContactTouchOffset(ContactEffect):
     reference = "position of the surface"
     resembles = ("contact.preload", "platform.scale")
     repeats = True
-    leading = "offset"
     jumps = "offset"
 
     def apply(self, p: ContactParameters) -> None:
@@ -115,7 +112,6 @@ class ContactBacklash(ContactEffect):
     reference = "backlash of a joint"
     resembles = ("platform.backlash",)
     repeats = True
-    leading = "width"
 
     def apply(self, p: ContactParameters) -> None:
         p.play += self.width
@@ -149,7 +145,6 @@ class ContactMisalignment(ContactEffect):
     reference = "mounting error"
     resembles = ("sensor.crosstalk", "contact.surface_friction")
     repeats = True
-    leading = "angles_deg"
 
     def apply(self, p: ContactParameters) -> None:
         p.tilt_x += math.radians(self.angles_deg[0])

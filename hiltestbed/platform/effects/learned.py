@@ -49,7 +49,6 @@ class LearnedResponse(Effect):
     equation = "x(t) = integral of s(t - t') x_cmd'(t') dt', s piecewise linear"
     reference = "step response, superposition"
     resembles = ("platform.lag", "platform.delay", "platform.mode")
-    leading = "step"
 
     def apply(self, p: PlatformParameters) -> None:
         p.step = packed(self.step)

@@ -116,7 +116,6 @@ class PlatformDelay(Effect):
     reference = "pure transport delay"
     resembles = ("platform.lag",)
     repeats = True
-    leading = "delay"
 
     def apply(self, p: PlatformParameters) -> None:
         p.delay += self.delay
@@ -147,7 +146,6 @@ class PlatformLag(SecondOrder):
     reference = "second-order servo"
     resembles = ("platform.delay",)
     repeats = True
-    leading = "bandwidth"
     vanishes = True
 
     def apply(self, p: PlatformParameters) -> None:
@@ -179,7 +177,6 @@ class PlatformMode(SecondOrder):
     reference = "structural mode excited at its base"
     resembles = ("platform.lag",)
     repeats = True
-    leading = "frequency"
     vanishes = True
 
     def apply(self, p: PlatformParameters) -> None:

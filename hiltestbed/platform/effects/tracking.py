@@ -35,7 +35,6 @@ class PlatformBacklash(Effect):
     reference = "play operator"
     resembles = ("platform.friction",)
     repeats = True
-    leading = "width"
 
     def apply(self, p: PlatformParameters) -> None:
         p.play += self.width
@@ -62,7 +61,6 @@ class PlatformFriction(Effect):
     reference = "stiction"
     resembles = ("platform.backlash",)
     repeats = True
-    leading = "stick"
     jumps = "stick"
 
     def apply(self, p: PlatformParameters) -> None:
@@ -95,7 +93,6 @@ class PlatformScale(Effect):
     reference = "geometric calibration error"
     resembles = ("contact.touch_offset",)
     repeats = True
-    leading = "factor"
 
     def apply(self, p: PlatformParameters) -> None:
         p.scale[AXES.index(self.axis)] *= self.factor
@@ -118,7 +115,6 @@ class PlatformSpeedLimit(Effect):
     reference = "actuator rate limit"
     resembles = ("platform.lag",)
     repeats = True
-    leading = "speed"
     vanishes = True
     jumps = "speed"
 

@@ -24,7 +24,7 @@ from hiltestbed.platform.facilities.facility import MOUNT
 from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.payload import GRAVITY
-from hiltestbed.platform.shipped.air_bearing import AirBearingSettings
+from hiltestbed.platform.shipped.halls import AirBearingSettings
 
 CREEP = 1e-4  # [m/s] v_0, speed below which the pads' friction fades
 

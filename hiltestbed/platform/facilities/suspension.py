@@ -32,7 +32,7 @@ from hiltestbed.platform.facilities.facility import MOUNT
 from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.friction import drag
 from hiltestbed.platform.payload import GRAVITY
-from hiltestbed.platform.shipped.suspension import SuspensionSettings
+from hiltestbed.platform.shipped.halls import SuspensionSettings
 
 PRESLIDING = 2.0e5  # [N/m] stiffness of a winch before break-away
 STRIBECK_SPEED = 0.002  # [m/s]

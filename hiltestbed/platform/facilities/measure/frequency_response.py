@@ -51,11 +51,11 @@ class FrequencyResponse:
         """Delay at the lowest frequency [s]."""
         return float(-np.angle(self.own[axis, 0]) / (2.0 * math.pi * self.frequency[0]))
 
-    def bandwidth(self, axis: int = 2, phase_deg: float = 90.0) -> float:
-        """Frequency [Hz] at which the response first lags by ``phase_deg`` or falls by 3 dB,
+    def bandwidth(self, axis: int = 2) -> float:
+        """Frequency [Hz] at which the response first lags by 90 deg or falls by 3 dB,
         interpolated; inf: above all measured.
         """
-        low = np.minimum(3.0 + self.gain_db()[axis], phase_deg + self.phase_deg()[axis])
+        low = np.minimum(3.0 + self.gain_db()[axis], 90.0 + self.phase_deg()[axis])
         below = np.flatnonzero(low < 0.0)
         if not len(below):
             return math.inf

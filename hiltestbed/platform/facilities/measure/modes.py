@@ -19,7 +19,7 @@ from hiltestbed.platform.facilities.kinematics import LEVER, direction
 from hiltestbed.platform.facilities.stand import Stand, Stands
 
 NUDGE = 1e-6  # [m], [rad], and per second for a velocity: size of a perturbation
-SLOWEST = 0.05  # [Hz] lowest frequency of a mode
+SLOWEST, FASTEST = 0.05, 200.0  # [Hz] of a mode
 LIGHTLY = 0.95  # damping ratio below which a motion counts as a mode
 SETTLE = 0.5  # [s] time to reach static equilibrium
 STILL = 1e-3  # scale of components of the drives' own state that are 0 at rest
@@ -41,8 +41,8 @@ class Mode:
     motion: str
 
 
-def modes(stands: Stands, highest: float = 200.0) -> tuple[Mode, ...]:
-    """The modes below ``highest`` [Hz] at home, in order of frequency."""
+def modes(stands: Stands) -> tuple[Mode, ...]:
+    """The modes up to :data:`FASTEST` at home, in order of frequency."""
     probe = stands(1)
     allowed = probe.drives.kinematics.allowed(probe.drives.kinematics.home)
     own = probe.drives.feedback().shape[1]
@@ -57,7 +57,7 @@ def modes(stands: Stands, highest: float = 200.0) -> tuple[Mode, ...]:
             continue
         s = np.log(value) / stand.tick
         frequency, zeta = abs(s) / (2.0 * math.pi), -s.real / abs(s)
-        if not SLOWEST < frequency < highest or abs(zeta) > LIGHTLY:
+        if not SLOWEST < frequency < FASTEST or abs(zeta) > LIGHTLY:
             continue
         rates = allowed @ vector[allowed.shape[1] : 2 * allowed.shape[1]]
         shape = _shape(kinematics, rates)

@@ -1,8 +1,13 @@
-"""Two industrial arms facing each other, one of them on a rail, as at EPOS: the passive side moves
-too.
+"""Industrial arms: one that carries the active docking mechanism on its flange, and two that face
+each other, one of them on a rail, as at EPOS: the passive side moves too.
 
-Insertion is horizontal here: W's z along the rail, y up, gravity along -y. The base of the active
-arm is fixed, the passive arm moves on the rail and carries force sensor and passive mechanism.
+Commands go to the controller at its own rate, are interpolated there, and take effect whole cycles
+later; each joint has a motor, an elastic gear, a link and friction
+(:mod:`hiltestbed.platform.facilities.force_servo`).
+
+Of two arms insertion is horizontal: W's z along the rail, y up, gravity along -y. The base of the
+active arm is fixed, the passive arm moves on the rail and carries force sensor and passive
+mechanism.
 
 Allocation of the relative pose (p, R = exp(r)) to the two sides, with s the passive side's share:
 
@@ -16,7 +21,10 @@ arm only moves with the rail.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from functools import cached_property
+from math import radians
 from typing import ClassVar
 
 import mujoco
@@ -34,6 +42,7 @@ from hiltestbed.frames import (
     rotation_vector,
     twist_between,
 )
+from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.facility import (
     MOUNT,
     NOMINAL,
@@ -41,19 +50,83 @@ from hiltestbed.platform.facilities.facility import (
     TOOL_HOME,
     Facility,
     add_carrier,
+    frame_of,
 )
 from hiltestbed.platform.facilities.force_servo import ElasticJoints
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.mover import Runs
-from hiltestbed.platform.facilities.serial_arm import (
-    FRICTION_SHARE,
-    arm_axes,
-    gear_names,
-    let_arms_rub,
-    pose_arm,
-)
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
-from hiltestbed.platform.shipped.two_arms import TwoArmsSettings
+from hiltestbed.platform.shipped.arms import SerialArmSettings, TwoArmsSettings
+
+# Travel and speed of KR 210 R2700 extra as in the public description of the ROS-Industrial project;
+# torque and acceleration: estimates.
+TRAVEL_DEG = ((-185, 185), (-140, -5), (-120, 155), (-350, 350), (-125, 125), (-350, 350))
+SPEED_DEG = (123, 115, 112, 179, 172, 219)  # [deg/s]
+TORQUE = (15e3, 20e3, 12e3, 3e3, 3e3, 1.8e3)  # [N m]
+ACCELERATION = (5.0, 5.0, 6.0, 10.0, 10.0, 12.0)  # [rad/s^2]
+# friction relative to the first axis, in the ratio of the torques
+FRICTION_SHARE = (1.0, 1.2, 0.8, 0.2, 0.2, 0.12)
+PRESLIDING = 3.0e6  # [N m/rad] of the motor's bearings and seals, at the joint
+
+
+def arm_axes(prefix: str = "") -> tuple[Axis, ...]:
+    """The six axes of one arm."""
+    numbers = zip(TRAVEL_DEG, SPEED_DEG, ACCELERATION, TORQUE, strict=True)
+    return tuple(
+        Axis(f"{prefix}a{j + 1}", "rad", radians(low), radians(high), radians(speed), bend, torque)
+        for j, ((low, high), speed, bend, torque) in enumerate(numbers)
+    )
+
+
+def pose_arm(spec: mujoco.MjSpec, angles: Array) -> None:
+    """Set an arm's reference configuration, its home, to the ``angles`` (6,) [rad]."""
+    for j, angle in enumerate(angles):
+        joint, rotor = spec.joint(f"a{j + 1}"), spec.body(f"rotor_{j + 1}")
+        half = 0.5 * float(angle)
+        rotor.quat = [math.cos(half), *(math.sin(half) * np.array(joint.axis))]
+        joint.ref = float(angle)
+
+
+def gear_names(prefix: str = "") -> list[str]:
+    """The joints of an arm's gears."""
+    return [f"{prefix}g{j + 1}" for j in range(6)]
+
+
+def let_arms_rub(drives: ElasticJoints, share: Sequence[float]) -> None:
+    """Friction of the motors of one arm or two; ``share`` (J,): relative to the first axis."""
+    law = [s.controller.friction.law() for s in drives.runs.settings]
+    drives.rub(law, PRESLIDING, drives.model.dof_armature[drives.kinematics.v], share)
+
+
+class SerialArm(Facility):
+    """The arm of ``models/serial_arm``, which stands on the floor beside the frame."""
+
+    settings: SerialArmSettings
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        return arm_axes()
+
+    def spec(self) -> mujoco.MjSpec:
+        spec = load("serial_arm/serial_arm")
+        frame_of(spec)
+        add_carrier(spec.worldbody)
+        spec.option.gravity = [0.0, 0.0, -9.81]
+        return spec
+
+    def kinematics(self, model: mujoco.MjModel, tool: str = MOUNT) -> Kinematics:
+        return Kinematics(model, [tool], self.axes, locked=gear_names())
+
+    def drives(self, model: mujoco.MjModel, runs: Runs, tool: str = MOUNT) -> Drives:
+        kinematics = self.kinematics(model, tool)
+        drives = ElasticJoints(model, kinematics, runs, "controller", gear_names())
+        let_arms_rub(drives, FRICTION_SHARE)
+        return drives
+
+    def bandwidth(self) -> float:
+        """Of the motors; at low frequency the gears add (w/w_gear)^2 and no delay."""
+        return self.settings.controller.bandwidth
+
 
 ACTIVE, PASSIVE = "chaser_", "target_"  # prefixes of the two arms' names
 GEARS = [*gear_names(ACTIVE), *gear_names(PASSIVE)]
