@@ -11,7 +11,6 @@ import numpy as np
 
 from hiltestbed.config.log_columns import Log, listed, range_of
 from hiltestbed.frames import Array
-from hiltestbed.measured.joints import joints_of
 from hiltestbed.measured.plausible import TURNED_DEG
 from hiltestbed.measured.roles import (
     COMPENSATED,
@@ -19,6 +18,7 @@ from hiltestbed.measured.roles import (
     Role,
     angle_unit,
     finite,
+    joints_of,
     length_unit,
     time_unit,
 )
