@@ -160,19 +160,19 @@ def read_source(path: str | Path) -> Source:
     return Source(str(path), data, marks)
 
 
-def referenced_source(source: Source, key: str = "scenario") -> Source:
-    """The file beside a source, or the shipped scenario, named under `key`. Raises InputError."""
-    name = str(source.data[key])
+def referenced_source(source: Source) -> Source:
+    """The file beside a source, or the shipped scenario, named under `scenario`. Raises InputError."""
+    name = str(source.data["scenario"])
     target = source.folder / name
     if is_file(target):
         return read_source(target)
     if name in scenario_names():
         return read_source(find_scenario(name))
     text = (
-        f"names no file and no shipped scenario (got {describe(source.data[key])}); "
+        f"names no file and no shipped scenario (got {describe(source.data["scenario"])}); "
         f"looked for {target}"
     )
-    raise InputError(source.fault((key,), text))
+    raise InputError(source.fault(("scenario",), text))
 
 
 def _read_text(path: Path) -> str:
