@@ -43,7 +43,7 @@ class Sensitivity:
 
 
 def sensitivity(
-    keys: Sequence[str], inputs: Array, figure: Array, choices: Sequence[bool], seed: int = 0
+    keys: Sequence[str], inputs: Array, figure: Array, choices: Sequence[bool]
 ) -> Sensitivity | None:
     """Sobol indices of a figure; None if there are too few cases or the figure does not vary.
 
@@ -53,7 +53,7 @@ def sensitivity(
         choices: for each key, whether its numbers are only labels of categorical values.
     """
     known = np.flatnonzero(np.isfinite(figure))
-    usable = np.random.default_rng(seed).permutation(known)[:MOST_CASES]
+    usable = np.random.default_rng(0).permutation(known)[:MOST_CASES]
     y = figure[usable]
     if usable.size < FEWEST_CASES or np.ptp(y) == 0.0:
         return None

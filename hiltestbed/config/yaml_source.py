@@ -160,19 +160,18 @@ def read_source(path: str | Path) -> Source:
     return Source(str(path), data, marks)
 
 
-def referenced_source(source: Source, key: str = "scenario") -> Source:
-    """The file beside a source, or the shipped scenario, named under `key`. Raises InputError."""
-    name = str(source.data[key])
-    target = source.folder / name
+def referenced_source(source: Source) -> Source:
+    """The file beside a source, or the shipped scenario, that it names under `scenario`. Raises
+    InputError.
+    """
+    name = source.data["scenario"]
+    target = source.folder / str(name)
     if is_file(target):
         return read_source(target)
-    if name in scenario_names():
-        return read_source(find_scenario(name))
-    text = (
-        f"names no file and no shipped scenario (got {describe(source.data[key])}); "
-        f"looked for {target}"
-    )
-    raise InputError(source.fault((key,), text))
+    if str(name) in scenario_names():
+        return read_source(find_scenario(str(name)))
+    text = f"names no file and no shipped scenario (got {describe(name)}); looked for {target}"
+    raise InputError(source.fault(("scenario",), text))
 
 
 def _read_text(path: Path) -> str:

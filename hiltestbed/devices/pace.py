@@ -37,8 +37,8 @@ class CycleClock:
         due, began: (capacity,) [ns] on the monotonic clock, of each of the last cycles.
     """
 
-    def __init__(self, rate: float, capacity: int, spin: float = SPIN) -> None:
-        """``rate`` [Hz] of the cycles; ``capacity`` of times; ``spin`` [s] of each wait is busy."""
+    def __init__(self, rate: float, capacity: int) -> None:
+        """``rate`` [Hz] of the cycles; ``capacity`` of times."""
         if not 0.1 <= rate <= 1e5 or capacity < 1:
             raise InputError(
                 f"rate: cannot be paced (got {rate:g} Hz for {capacity} cycles); allowed are 0.1 "
@@ -47,7 +47,7 @@ class CycleClock:
         self.cycles = self.skipped = 0
         times: NDArray[np.int64] = np.zeros((2, capacity), dtype=np.int64)
         self.due, self.began = times
-        self._rate, self._spin = rate, round(spin * SECOND)
+        self._rate = rate
         self._start = self._next = 0
 
     def start(self) -> None:
@@ -66,7 +66,7 @@ class CycleClock:
             self._next += left_out
             self.skipped += left_out
             due = self._next_due()
-        asleep = due - now - self._spin
+        asleep = due - now - round(SPIN * SECOND)
         if asleep > 0:
             time.sleep(asleep / SECOND)
         now = time.monotonic_ns()

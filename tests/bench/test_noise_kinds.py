@@ -37,10 +37,23 @@ def _neighbours(noise: np.ndarray) -> np.ndarray:
     return np.array([np.corrcoef(noise[1:, j], noise[:-1, j])[0, 1] for j in range(6)])
 
 
-@pytest.mark.parametrize("name", ["white", "student_t", "coloured"])
-def test_the_variance_is_that_of_the_facility(name: str) -> None:
-    weak = NOISE_KINDS[name].strengths[0]
-    np.testing.assert_allclose(np.std(_noise(name, weak), axis=0), SIGMA, rtol=0.05)
+def test_the_standard_deviation_is_what_the_strength_says() -> None:
+    """In each axis, about the mean of the run; a tare is such a mean, another in each run."""
+    share = NOISE_KINDS["proportional"].strengths[-1]
+    grown = SIGMA.copy()
+    grown[2] = np.hypot(SIGMA[2], share * 400.0)
+    offsets = np.array([_noise("tare", 4.0, seed=s).mean(axis=0) for s in range(60)])
+    cases = {
+        "proportional": (np.std(_noise("proportional", share, force=400.0), axis=0), grown, 0.05),
+        "tare": (np.std(_noise("tare", 4.0), axis=0), SIGMA, 0.05),
+        "tares": (np.std(offsets, axis=0), 4.0 * SIGMA, 0.35),
+        "pink": (np.std(_noise("pink", 3.0), axis=0), 3.0 * SIGMA, 1e-9),
+    }
+    for name in ("white", "student_t", "coloured"):
+        weak = NOISE_KINDS[name].strengths[0]
+        cases[name] = (np.std(_noise(name, weak), axis=0), SIGMA, 0.05)
+    wrong = [n for n, (is_, said, within) in cases.items() if not np.allclose(is_, said, within)]
+    assert not wrong
 
 
 def test_coloured_noise_is_first_order() -> None:
@@ -55,7 +68,6 @@ def test_coloured_noise_is_first_order() -> None:
 
 def test_pink_noise_falls_as_one_over_the_frequency() -> None:
     noise = _noise("pink", 3.0)
-    np.testing.assert_allclose(np.std(noise, axis=0), 3.0 * SIGMA, rtol=1e-9)
     f, power = signal.welch(noise[:, 2], RATE, nperseg=4096)
     inside = (f > 2.0) & (f < 300.0)
     slope = np.polyfit(np.log(f[inside]), np.log(power[inside]), 1)[0]
@@ -69,13 +81,6 @@ def test_students_t_has_its_tails() -> None:
     assert stats.kstest(noise / np.std(noise), "norm").pvalue < 1e-3
 
 
-def test_proportional_noise_grows_with_the_reading() -> None:
-    share = NOISE_KINDS["proportional"].strengths[-1]
-    noise = _noise("proportional", share, force=400.0)
-    assert np.std(noise[:, 2]) == pytest.approx(np.hypot(SIGMA[2], share * 400.0), rel=0.05)
-    assert np.std(noise[:, 0]) == pytest.approx(SIGMA[0], rel=0.05)
-
-
 def test_spikes_are_as_many_and_as_large_as_they_say() -> None:
     share = NOISE_KINDS["spikes"].strengths[-1]
     noise = _noise("spikes", share)[:, :3] / SIGMA[:3]
@@ -83,12 +88,6 @@ def test_spikes_are_as_many_and_as_large_as_they_say() -> None:
     assert far.mean() == pytest.approx(share, rel=0.25)
     assert np.abs(noise).max() < 36.0
     assert np.std(noise[~far]) == pytest.approx(1.0, rel=0.05)
-
-
-def test_a_tare_is_constant_in_a_run_and_another_in_the_next() -> None:
-    offsets = np.array([_noise("tare", 4.0, seed=s).mean(axis=0) for s in range(60)])
-    np.testing.assert_allclose(np.std(offsets, axis=0), 4.0 * SIGMA, rtol=0.35)
-    np.testing.assert_allclose(np.std(_noise("tare", 4.0), axis=0), SIGMA, rtol=0.05)
 
 
 def test_a_slow_drift_begins_at_nought_and_is_slower_than_the_run() -> None:
