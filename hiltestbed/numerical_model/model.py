@@ -57,7 +57,10 @@ class NumericalModel:
         ended: runs whose model has ended the simulation by itself, each with the reason.
     """
 
-    def __init__(self, scenarios: Sequence[ScenarioLike]) -> None:
+    def __init__(
+        self, scenarios: Sequence[ScenarioLike], departures: Departures | None = None
+    ) -> None:
+        """``departures``: from the nominal model; by default by the effects of the scenarios."""
         n = len(scenarios)
         self.n = n
         self.ended: dict[int, str] = {}
@@ -71,7 +74,11 @@ class NumericalModel:
         self.pose, self.twist = np.zeros((n, 7)), np.zeros((n, 6))
         self._tau, self._before = np.zeros((n, 2, 6)), np.zeros((n, 2, 6))
         self._approach = np.array([approach_state(s) for s in scenarios])
-        self._depart(stack([DynamicsParameters.of(s.effects) for s in scenarios]))
+        self._depart(
+            stack([DynamicsParameters.of(s.effects) for s in scenarios])
+            if departures is None
+            else departures
+        )
         self.reset()
 
     def _depart(self, d: Departures) -> None:
