@@ -11,7 +11,15 @@ import numpy as np
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 from hiltestbed.platform.drive import FRICTION, OFFSET, PLACE, RATE, STATE, STATIC, W
-from hiltestbed.platform.response import MEMORY, follow_behind, second_order
+from hiltestbed.platform.response import (
+    HELD,
+    LIMITED,
+    MEMORY,
+    PLAYED,
+    follow,
+    follow_behind,
+    second_order,
+)
 from hiltestbed.replay.stiction import ON_AN_INSTANT, Obeying, commanded, stick_to
 
 if TYPE_CHECKING:
@@ -28,10 +36,12 @@ class PlatformLane(NamedTuple):
             early.
         parts, steps: (M,) ends of the steps as fractions of a tick, and their durations [s].
             moves: number of those that end at an instant; phase: of the instants.
+        ends, long: (4,) ends of up to three groups of steps, over each of which the delayed command
+            is straight, and their durations (3,) [s].
         step, speed, play, stick, eager, scale, drive: see
             :class:`~hiltestbed.platform.parameters.PlatformParameters`; eager: its ``begun``.
-        linear: whether it has neither lags nor modes.
-        over_step, over_begun: propagators of lags and modes, (M, S, 5) each.
+        w: (S,) natural frequencies of lags and modes [rad/s].
+        over_step, over_group, over_begun: propagators of lags and modes, (M, S, 5) each.
     """
 
     start: Array
@@ -44,6 +54,8 @@ class PlatformLane(NamedTuple):
     steps: Array
     moves: int
     phase: float
+    ends: np.ndarray
+    long: Array
     step: Array
     speed: float
     play: float
@@ -51,8 +63,9 @@ class PlatformLane(NamedTuple):
     eager: float
     scale: Array
     drive: Array
-    linear: bool
+    w: Array
     over_step: tuple[Array, Array]
+    over_group: tuple[Array, Array]
     over_begun: tuple[Array, Array]
 
 
@@ -68,7 +81,8 @@ def replay_platform(
 
     The law is that of the loop (:func:`hiltestbed.platform.response.follow`). A tick is divided at
     the kinks of the delayed command, between which the responses are exact; for a platform with
-    stiction, at the instants at which it may move.
+    stiction, at the instants at which it may move, unless it cannot move within the tick
+    (:func:`_held_throughout`).
 
     Args:
         scenarios, parameters: of each lane. commands: ``(R, N, >= 3)`` pose_cmd; row k is to be
@@ -98,7 +112,12 @@ def _lane(
         parts = np.array([*(np.arange(1, m + 1) - p.phase) / m, *([1.0] if p.phase else [])])
     else:
         parts = np.array([1.0] if straight else [bend, 1.0])
-    steps = np.diff(parts, prepend=0.0) * tick
+    count = len(parts)
+    ends = np.array([0, count, count, count])
+    if p.stick > 0.0 and not straight:
+        bent = min(int(bend * count), count - 1)  # the instants between which the command bends
+        ends[1:3] = (bent, bent + 1) if bent > 0 else (1, count)
+    steps, long = np.diff(parts, prepend=0.0) * tick, np.diff(ends) / count * tick
     lag, mode = (np.array(x, dtype=float).reshape(-1, 2) for x in (p.lag, p.mode))
     velocity = np.array(s.approach.velocity, dtype=float)
     return PlatformLane(
@@ -110,8 +129,10 @@ def _lane(
         begun=early,
         parts=parts,
         steps=steps,
-        moves=len(parts) - (p.phase > 0.0),
+        moves=count - (p.phase > 0.0),
         phase=float(p.phase),
+        ends=ends,
+        long=long,
         step=p.step,
         speed=float(p.speed),
         play=float(p.play),
@@ -119,8 +140,9 @@ def _lane(
         eager=float(p.begun),
         scale=np.array(p.scale, dtype=float),
         drive=np.array(p.drive, dtype=float),
-        linear=not (lag[:, 0].any() or mode[:, 0].any()),
+        w=np.concatenate([lag[:, 0], mode[:, 0]]),
         over_step=_propagators(lag, mode, steps),
+        over_group=_propagators(lag, mode, long),
         over_begun=_propagators(lag, mode, np.array([early])),
     )
 
@@ -142,11 +164,12 @@ def _replay(commands, lane, out):
     """Write the positions (N, 3) on ``commands`` (N, >= 3)."""
     h, late, begun, stick, learned = lane.h, lane.late, lane.begun, lane.stick, lane.step
     lag, mode = lane.over_step
-    limits = lane.speed, lane.play, stick
+    count, limits = len(lane.parts), (lane.speed, lane.play, stick)
     lagged, shaken = np.zeros((lag.shape[1], 2)), np.zeros((mode.shape[1], 2))
-    memory, driven = np.zeros(MEMORY), np.zeros(STATE)
+    memory, driven, saved = np.zeros(MEMORY), np.zeros(STATE), np.zeros((len(lane.w), 2))
     state = lagged, shaken, memory, driven
     sums = np.zeros(len(commands) + 1)
+    linear = np.count_nonzero(lane.w) == 0
     for axis in range(3):
         command, driving = commands[:, axis], lane.drive[axis]
         start, velocity, scale = lane.start[axis], lane.velocity[axis], lane.scale[axis]
@@ -156,7 +179,7 @@ def _replay(commands, lane, out):
             out[1:, axis] *= scale
             continue
         unlimited = lane.play == 0.0 and lane.speed == np.inf and driving[W] == 0.0
-        if plain and begun == 0.0 and stick > 0.0 and unlimited and lane.linear:
+        if plain and begun == 0.0 and stick > 0.0 and unlimited and linear:
             held = commanded(command, start, velocity, min(lane.at_start - late, 0.0), h)
             obeying = Obeying(h, late, lane.moves, lane.phase)
             stick_to(command, held, start, velocity, obeying, stick, scale, out[:, axis])
@@ -180,9 +203,20 @@ def _replay(commands, lane, out):
             lags, modes = lane.over_begun
             follow_behind(before, after, begun, limits, driving, lags[0], modes[0], state)
             before = after
+        even = plain and stick > 0.0 and lane.phase == 0.0
+        simple = even and np.count_nonzero(lane.w) <= 1 and driving[W] == 0.0
         for k in range(len(out) - 1):
             reached = before
-            for s in range(len(lane.parts)):
+            s = piece = 0
+            while s < count:
+                if simple and s == lane.ends[piece]:
+                    end = lane.ends[piece + 1]
+                    after = commanded(command, start, velocity, k + end / count - late, h)
+                    if _held_throughout(before, after, lane, piece, state, saved):
+                        before, reached, s = after, memory[HELD], end
+                        piece += 1
+                        continue
+                    piece += 1
                 at = k + lane.parts[s] - late
                 # the usual case, separate because the other call costs as much as the rest of
                 # the step
@@ -197,7 +231,51 @@ def _replay(commands, lane, out):
                     before, after, lane.steps[s], own, driving, lag[s], mode[s], state
                 )
                 before = after
+                s += 1
             out[k + 1, axis] = scale * reached
+
+
+@njit(cache=True)
+def _held_throughout(before, after, lane, group, state, saved):
+    """Whether a platform with stiction provably keeps its position over a group of steps, in which
+    its command is straight; its state is then advanced, otherwise unchanged.
+
+    A lag or mode of natural frequency w responds to a command of constant rate u' with y' = u' +
+    z', and w^2 z^2 + z'^2 never grows: |y'| stays below L = |u'| + sqrt(w^2 z^2 + z'^2) at the
+    start. Between two instants y is therefore no further from the held position than at the nearer
+    one plus L h/2. A speed limit must not act meanwhile, nor play with a response that may reverse.
+
+    ``saved``: (S, 2) scratch.
+    """
+    lagged, shaken, memory, _ = state
+    speed, play, stick, w, h = lane.speed, lane.play, lane.stick, lane.w, lane.long[group]
+    lag, mode = lane.over_group[0][group], lane.over_group[1][group]
+    if speed < np.inf and (memory[LIMITED] != before or abs(after - before) > speed * h):
+        return False
+    rate = (after - before) / h
+    fastest = abs(rate)
+    position, n = before, len(lag)
+    for s in range(len(w)):
+        if w[s] > 0.0:
+            kernel, moving = (lag[s], lagged[s]) if s < n else (mode[s - n], shaken[s - n])
+            position = moving[0]
+            swing = math.hypot(w[s] * (position - before + kernel[4] * rate), moving[1] - rate)
+            if play > 0.0 and swing > fastest:
+                return False
+            fastest += swing
+    margin = stick - 0.5 * fastest * h
+    if play > 0.0:
+        position = memory[PLAYED]
+    if abs(position - memory[HELD]) > margin:
+        return False
+    limited, played = memory[LIMITED], memory[PLAYED]
+    saved[:n], saved[n:] = lagged, shaken
+    reached = follow(before, after, h, (speed, play, 0.0), lag, mode, state)
+    if abs(reached - memory[HELD]) > margin:
+        lagged[:], shaken[:] = saved[:n], saved[n:]
+        memory[LIMITED], memory[PLAYED] = limited, played
+        return False
+    return True
 
 
 @njit(cache=True)

@@ -67,7 +67,8 @@ def test_without_an_effect_the_pose_is_the_command_a_tick_later() -> None:
 def test_a_platform_with_stiction_stands_still_exactly_as_long_as_in_the_loop(
     beside: str, ticks_late: float
 ) -> None:
-    """Commands, sizes and instants are drawn at random, over three orders of magnitude of
+    """The loop looks at every instant whether the platform moves; the replay only in ticks in which
+    it may. Commands, sizes and instants are drawn at random, over three orders of magnitude of
     travel within a tick per width of the stiction.
     """
     rng = np.random.default_rng([list(BESIDE_STICTION).index(beside), round(100 * ticks_late)])
