@@ -259,7 +259,7 @@ def diagnose(
     from hiltestbed.compiled.warm import tell_of_compiling
     from hiltestbed.config.dataset import label_of
     from hiltestbed.config.yaml_source import read_source
-    from hiltestbed.diagnosis.report.folder import DIAGNOSIS
+    from hiltestbed.diagnosis.report.diagnosis import DIAGNOSIS
     from hiltestbed.process.progress import step_line
 
     tell_of_compiling()

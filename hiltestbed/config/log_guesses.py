@@ -11,13 +11,13 @@ import numpy as np
 
 from hiltestbed.config.log_columns import Log, listed, range_of
 from hiltestbed.frames import Array
-from hiltestbed.measured.joints import joints_of
 from hiltestbed.measured.roles import (
     COMPENSATED,
     PUSHES,
     Role,
     angle_unit,
     finite,
+    joints_of,
     length_unit,
     time_unit,
 )

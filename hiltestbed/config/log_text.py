@@ -7,8 +7,7 @@ from pathlib import Path
 
 from hiltestbed.config.log_columns import Log, listed, quoted, range_of
 from hiltestbed.config.log_guesses import ARM, Entry
-from hiltestbed.measured.joints import joints_of
-from hiltestbed.measured.roles import BARE
+from hiltestbed.measured.roles import BARE, joints_of
 
 KINDS = (
     "drive: force or current to position; servo: command to position; damper: displacement to force"

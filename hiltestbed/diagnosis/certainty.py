@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.diagnosis.explain import Explanation
-from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
-from hiltestbed.inference.likelihood import Likelihood
+from hiltestbed.inference.likelihood import Likelihood, PosteriorFit
 
 PROFILE_REACH = 2.0  # of a profile to each side, in half-widths of the 95 % interval
 PROFILE_POINTS = 9  # values of a profile: a parabola shows, and whether it is one
@@ -50,10 +49,6 @@ class Profile:
     def label(self) -> str:
         return f"{self.effect} {self.parameter}" + (f" ({self.of})" if self.of else "")
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return vars(self)
-
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
@@ -78,43 +73,37 @@ class Certainty:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data: the names of the rows of the correlation, and the profiles."""
-        names = [p.label for p in self.profiles]
-        return {
-            "link": self.link,
-            "parameters": names,
-            "correlation": self.correlation,
-            "profiles": [p.to_json() for p in self.profiles],
-        }
+        names, profiles = [p.label for p in self.profiles], [vars(p) for p in self.profiles]
+        return vars(self) | {"parameters": names, "profiles": profiles}
 
 
 def certainty(link: str, e: Explanation) -> Certainty:
     """The certainty of the causes of an explanation; the nuisances of their fit follow."""
     fit, likelihood = e.fit, e.likelihood
     x = np.concatenate([fit.of.theta, fit.of.nuisances])
-    slopes = likelihood.slopes(fit.causes, x, fit.left)
-    normal, _ = likelihood.normal(fit.left, slopes)
+    normal, _ = likelihood.normal(fit.left, likelihood.slopes(fit.causes, x, fit.left))
     determined = np.diag(normal) > FLAT_CURVATURE * max(1.0, float(np.max(np.diag(normal))))
     normal[~determined], normal[:, ~determined] = 0.0, 0.0
     normal[~determined, ~determined] = 1.0
+    low, high, log = likelihood.bounds(fit.causes)
     names = [(c, name) for c in fit.causes for name in c.names]
-    low, high = (np.concatenate([getattr(c, end) for c in fit.causes]) for end in ("low", "high"))
     profiles, asked = [], [j for j, (c, _) in enumerate(names) if c.sigma is None]
     for j in asked:
         c, name = names[j]
-        at, ends = float(x[j]), e.conclusion.ends[j]
-        close = BOUND_TOLERANCE * (abs(at) if c.log[c.names.index(name)] else high[j] - low[j])
+        at, bounds = float(x[j]), (float(low[j]), float(high[j]))
+        ends = float(e.conclusion.ends[j, 0]), float(e.conclusion.ends[j, 1])
+        close = BOUND_TOLERANCE * (abs(at) if log[j] else high[j] - low[j])
         met = "lowest" if at - low[j] <= close else "highest" if high[j] - at <= close else None
-        values = _values(at, ends, (float(low[j]), float(high[j])))
-        rise = _rises(e, likelihood, x, normal, determined, j, values)
+        # around the estimate, within its bounds
+        reach = np.linspace(-PROFILE_REACH, PROFILE_REACH, PROFILE_POINTS)
+        side = np.where(reach < 0.0, at - ends[0], ends[1] - at)
+        values = np.unique(np.clip(at + reach * side, *bounds))
+        rise = _rises(likelihood, fit, x, np.where(determined, normal, 0.0), j, values)
         of = ", ".join(str(v) for v in c.fixed.values() if isinstance(v, str))
-        profiles.append(
-            Profile(
-                *(c.kind, name, _unit(c, name.partition(".")[0]), of, at),
-                (float(ends[0]), float(ends[1])),
-                (float(low[j]), float(high[j])),
-                *(met, values, rise),
-            )
-        )
+        key = name.partition(".")[0]
+        # a parameter that is not the effect's is the log's stamp delay
+        unit = c.effect.unit(key) if key in c.effect.model_fields else "s"
+        profiles.append(Profile(c.kind, name, unit, of, at, ends, bounds, met, values, rise))
     inverse = np.linalg.pinv(normal, hermitian=True)
     root = np.sqrt(np.maximum(np.diag(inverse), np.finfo(float).tiny))
     correlation = np.clip(inverse / np.outer(root, root), -1.0, 1.0)
@@ -122,39 +111,18 @@ def certainty(link: str, e: Explanation) -> Certainty:
     return Certainty(link, tuple(profiles), correlation[np.ix_(asked, asked)])
 
 
-def _values(at: float, ends: Array, bounds: tuple[float, float]) -> Array:
-    """Values of a parameter around its estimate, within its bounds."""
-    reach = np.linspace(-PROFILE_REACH, PROFILE_REACH, PROFILE_POINTS)
-    side = np.where(reach < 0.0, at - ends[0], ends[1] - at)
-    return np.unique(np.clip(at + reach * side, *bounds))
-
-
 def _rises(
-    e: Explanation,
-    likelihood: Likelihood,
-    x: Array,
-    normal: Array,
-    determined: np.ndarray,
-    j: int,
-    values: Array,
+    likelihood: Likelihood, fit: PosteriorFit, x: Array, normal: Array, j: int, values: Array
 ) -> Array:
-    """Of the cost over that of the fit, at ``values`` of number j of ``x``, the others moved by
-    linear regression.
+    """Of the cost over that of the fit, at ``values`` of number j of ``x``, the others that are
+    determined, with a row in ``normal``, moved by linear regression.
     """
-    fit, scale = e.fit, likelihood.scale_of(e.fit.causes, x)
-    low, high, _ = likelihood.bounds(fit.causes)
+    scale, (low, high, _) = likelihood.scale_of(fit.causes, x), likelihood.bounds(fit.causes)
     points = np.tile(x, (len(values), 1))
-    others = np.flatnonzero(determined & (np.arange(len(x)) != j))
-    if len(others) and determined[j]:
+    others = np.flatnonzero((np.diag(normal) > 0.0) & (np.arange(len(x)) != j))
+    if len(others) and normal[j, j] > 0.0:
         follow = -np.linalg.lstsq(normal[np.ix_(others, others)], normal[others, j], rcond=None)[0]
         points[:, others] += (values - x[j])[:, None] / scale[j] * follow * scale[others]
     points[:, j] = values
-    costs = [
-        likelihood.cost(left) for left in likelihood.lefts(fit.causes, [*points.clip(low, high)])
-    ]
-    return np.array(costs) - likelihood.cost(fit.left)
-
-
-def _unit(c: Candidate, name: str) -> str:
-    """The unit of a parameter; a parameter that is not the effect's is the log's stamp delay."""
-    return c.effect.unit(name) if name in c.effect.model_fields else "s"
+    lefts = likelihood.lefts(fit.causes, [*points.clip(low, high)])
+    return np.array([likelihood.cost(left) for left in lefts]) - likelihood.cost(fit.left)

@@ -2,8 +2,7 @@
 the measured ones.
 
 Measured and simulated runs go through the same rule: speeds are slopes of the commanded pose before
-and after the first contact, stiffness and damping a least-squares fit of the reading on pose and
-rate in contact.
+and after the first contact.
 """
 
 from __future__ import annotations
@@ -16,12 +15,10 @@ import numpy as np
 
 from hiltestbed.analysis.metrics import settle_ticks
 from hiltestbed.campaign.cases import lockstep_groups
-from hiltestbed.diagnosis.conclusion import SimulatedRun
-from hiltestbed.diagnosis.result import Cause, ClosedLoop, Figures, Learned
+from hiltestbed.diagnosis.result import Cause, ClosedLoop, Figures, Learned, SimulatedRun
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset, MeasuredRun
-from hiltestbed.replay.wrench import shifted
 from hiltestbed.scenario import Scenario, resolved, scenario_from
 from hiltestbed.signals import RunTrace
 from hiltestbed.simulation import simulate
@@ -31,11 +28,7 @@ MIN_SAMPLES = 8  # of a speed
 # chosen: [s] from the end of a contact to the speed, longer than the tail of an unknown delay or
 # lag
 QUIET_TIME = 0.03
-# chosen: a contact is smoothed over this part of itself before it is differentiated
-SMOOTHING_PARTS = 15
 LOCKSTEP_RUNS = 64  # simulated together
-# chosen: of the largest penetration, from which samples are fitted: below it the force is clipped
-MIN_FITTED_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -107,40 +100,32 @@ def traces_of(scenarios: Sequence[Scenario]) -> list[RunTrace | None]:
 
 
 def closed_loop(dataset: MeasuredDataset, simulated: Sequence[SimulatedRun]) -> ClosedLoop:
-    """Figures of every run."""
-    rows = [
-        tuple(
-            figures(motion, run.scenario)
-            for motion in (measured_motion(run), trace_motion(p.nominal), trace_motion(p.extended))
-        )
-        for run, p in zip(dataset.runs, simulated, strict=True)
-    ]
-    return ClosedLoop(
-        tuple(p.run for p in simulated), *(tuple(row[i] for row in rows) for i in range(3))
-    )
+    rows = []
+    for run, p in zip(dataset.runs, simulated, strict=True):
+        motions = measured_motion(run), trace_motion(p.nominal), trace_motion(p.extended)
+        rows.append([figures(motion, run.scenario) for motion in motions])
+    sources = zip(*rows, strict=True) if rows else ((), (), ())
+    return ClosedLoop(tuple(p.run for p in simulated), *map(tuple, sources))
 
 
 def measured_motion(run: MeasuredRun) -> RunSignals:
-    """The motion of a measured run."""
     record, spans = run.record, [(c.start, c.end) for c in run.survey.contacts]
-    names = ("pose_cmd.pz", "pose_act.pz", "wrench_meas.fz")
     command, reached, force = (
-        record.column(name) if name in record.columns() else None for name in names
+        record.column(n) if record.has(n) else None
+        for n in ("pose_cmd.pz", "pose_act.pz", "wrench_meas.fz")
     )
     return RunSignals(record.t, command, reached, force, _first(spans, record.ticks))
 
 
 def trace_motion(trace: RunTrace | None) -> RunSignals | None:
-    """The motion of a simulated run."""
     if trace is None:
         return None
     edges = np.flatnonzero(np.diff(np.r_[False, trace.contact, False])).reshape(-1, 2)
     command, reached, force = (
         np.ascontiguousarray(trace[g][:, 2]) for g in ("pose_cmd", "pose_act", "wrench_meas")
     )
-    return RunSignals(
-        trace.t, command, reached, force, _first([(int(a), int(b)) for a, b in edges], len(trace.t))
-    )
+    spans = [(int(a), int(b)) for a, b in edges]
+    return RunSignals(trace.t, command, reached, force, _first(spans, len(trace.t)))
 
 
 def _first(spans: Sequence[tuple[int, int]], ticks: int) -> tuple[int, int, int] | None:
@@ -153,14 +138,13 @@ def figures(motion: RunSignals | None, scenario: Scenario) -> Figures:
     """Figures of a run; all None for a run without contact."""
     if motion is None or motion.span is None:
         return Figures()
-    stiffness, damping = identified(motion, scenario) if scenario.mechanism.flat else (None, None)
     peak = None
     if motion.force is not None:
         start, end, _ = motion.span
         reading = np.abs(motion.force[start : end + settle_ticks(scenario)])
         peak = float(np.nanmax(reading)) if np.isfinite(reading).any() else None
     cor = restitution(motion, scenario) if not scenario.mechanism.captured else None
-    return Figures(cor, peak, stiffness, damping)
+    return Figures(cor, peak)
 
 
 def restitution(motion: RunSignals, scenario: Scenario) -> float | None:
@@ -202,42 +186,3 @@ def _slope(t: Array, z: Array, start: int, end: int) -> float | None:
     if len(rows) < MIN_SAMPLES:
         return None
     return float(np.polyfit(t[rows] - t[rows[0]], z[rows], 1)[0])
-
-
-def identified(motion: RunSignals, scenario: Scenario) -> tuple[float | None, float | None]:
-    """k [N/m] and c [N s/m] of F = k x + c v over the first contact, with the reading shifted back
-    by the sensor's nominal delay.
-
-    Clipped samples at the touch are left out (literature: a window over x > 0 costs 3 to 5 % of c).
-    """
-    if motion.reached is None or motion.force is None or motion.span is None:
-        return None, None
-    start, end, _ = motion.span
-    rows = np.arange(start, min(end, len(motion.t)))
-    late = scenario.sensor.delay * scenario.rate
-    x = _smoothed(motion.reached, rows)
-    y = shifted(motion.force[:, None], late)[rows, 0]
-    if x is None:
-        return None, None
-    v = np.gradient(x, scenario.tick)
-    use = np.isfinite(x) & np.isfinite(y) & (x > MIN_FITTED_SHARE * np.nanmax(x))
-    use &= y > MIN_FITTED_SHARE * np.nanmax(np.abs(y)) if np.isfinite(y).any() else False
-    if use.sum() < MIN_SAMPLES:
-        return None, None
-    matrix = np.column_stack([x[use], v[use]])
-    scale = np.linalg.norm(matrix, axis=0)
-    if not (scale > 0).all():
-        return None, None
-    k, c = np.linalg.lstsq(matrix / scale, y[use], rcond=None)[0] / scale
-    return float(k), float(c)
-
-
-def _smoothed(z: Array, rows: np.ndarray) -> Array | None:
-    """z at `rows`, with gaps interpolated, smoothed by a cubic over a small part of the contact."""
-    from scipy.signal import savgol_filter
-
-    known = np.flatnonzero(np.isfinite(z))
-    length = max(5, len(rows) // SMOOTHING_PARTS) | 1
-    if len(rows) < 2 * length or len(known) < len(rows) // 2:
-        return None
-    return np.asarray(savgol_filter(np.interp(np.arange(len(z)), known, z[known]), length, 3))[rows]

@@ -27,8 +27,7 @@ from hiltestbed.config.dataset import LoadedDataset, dataset_from
 from hiltestbed.config.yaml_source import read_source
 from hiltestbed.diagnosis.find import CLOSING_STEPS, find
 from hiltestbed.diagnosis.investigate import investigate
-from hiltestbed.diagnosis.report.conclude import conclude
-from hiltestbed.diagnosis.report.diagnosis import Diagnosis
+from hiltestbed.diagnosis.report.diagnosis import Diagnosis, conclude
 from hiltestbed.inference.search import Progress
 from hiltestbed.measured import MeasuredDataset, load_dataset
 

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiltestbed.diagnosis.link_model import LinkModel, Whiteness
+from hiltestbed.diagnosis.link_model import NOTHING, LinkModel, Whiteness
 from hiltestbed.diagnosis.links import ModelLink, Timing, WrenchLink
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import Confirmed, SearchConclusion, conclude
-from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
-from hiltestbed.inference.model import Hypothesis, places
+from hiltestbed.inference.likelihood import Likelihood, PosteriorFit
+from hiltestbed.inference.model import places
 from hiltestbed.inference.search import MOST_CAUSES, Progress, Searched, extended, search
 from hiltestbed.sensor.effects import SensorHum
 
@@ -61,7 +61,6 @@ class Explanation:
 
     @property
     def fit(self) -> PosteriorFit:
-        """The hypothesis."""
         return self.conclusion.fit
 
     @property
@@ -75,7 +74,6 @@ class Explanation:
         return bool(self.causes) or not self.adequate
 
     def effects(self) -> list[Effect]:
-        """The causes as effects."""
         return effects_of(self.fit)
 
     @property
@@ -84,7 +82,6 @@ class Explanation:
         return tuple(e.kind for e in self.effects())
 
     def timing(self) -> Timing:
-        """The timing of the facility."""
         return self.link.timing_with(self.fit.of.each())
 
     def residual(self) -> Residual:
@@ -124,6 +121,11 @@ class Explanation:
         """By which the hypothesis was chosen."""
         return self.conclusion.likelihood
 
+    def alone(self, n: int, found: PosteriorFit) -> tuple[LinkModel, PosteriorFit]:
+        """The model of the member n alone, and the causes of ``found`` fitted to it."""
+        model = self.model.on([n])
+        return model, model.likelihood().fit(found.causes, [found.of.theta])
+
 
 @dataclass(frozen=True, eq=False)
 class OpenPair:
@@ -144,13 +146,12 @@ class OpenPair:
         """
         first, second = self._alone()
         both = {c.kind for c in first} & {c.kind for c in second}
-        a, b = (
-            " and ".join(
-                f"{c.kind} [{', '.join(c.place)}]" if c.kind in both else c.kind for c in own
-            )
-            for own in (first, second)
-        )
-        return (a or "nothing", b or "nothing")
+
+        def word(c: Candidate) -> str:
+            return f"{c.kind} [{', '.join(c.place)}]" if c.kind in both else c.kind
+
+        a, b = (" and ".join(map(word, own)) or "nothing" for own in (first, second))
+        return a, b
 
     def _alone(self) -> tuple[list[Candidate], list[Candidate]]:
         a, b = ({(c.kind, c.place): c for c in f.causes} for f in self.fits)
@@ -211,10 +212,9 @@ class _SoFar:
         self.model, self._progress = model.under(()), progress
         self.candidates = tuple(c for c in candidates if not c.effect.rich)
         self._kept = tuple(c for c in candidates if c.effect.rich)  # for want of simpler ones
-        nothing = self.model.residuals(Hypothesis((), np.zeros(0), np.zeros(0)))
-        self._counts = independent(nothing, noise_known=True)
-        self._likelihood = Likelihood(self.model, self._counts)
-        if isinstance(model.link, WrenchLink) and not self.model.leaves_noise(nothing):
+        self._likelihood = self.model.likelihood()
+        nothing = self.model.residuals(NOTHING)
+        if not self.model.leaves_noise(nothing):
             self.candidates = (*self.candidates, *hums(self.model, nothing))
         self._alone_asked = self._several_asked = False
         self._new = True  # whether what may explain has changed since causes were too many
@@ -222,7 +222,6 @@ class _SoFar:
 
     @property
     def everything(self) -> tuple[Candidate, ...]:
-        """The hypotheses and the nuisances."""
         return (*self.candidates, *self.model.timings())
 
     @property
@@ -239,9 +238,15 @@ class _SoFar:
         return search(self._likelihood, self.everything, self._progress, start, before, more)
 
     def _through(self, model: LinkModel, base: PosteriorFit, likelihood: Likelihood) -> None:
-        """Go on with another model, from a hypothesis."""
         self.model, self._likelihood, self._new = model, likelihood, True
         self.found = self._searched(likelihood.fit(base.causes, [base.of.theta]), (), 0)
+
+    def _led_to(self, model: LinkModel, base: PosteriorFit) -> bool:
+        """Whether a model is another one: then it is gone on with, from a hypothesis."""
+        other = model is not self.model
+        if other:
+            self._through(model, base, model.likelihood())
+        return other
 
     def _grown(self, found: Searched) -> bool:
         """Whether a search has led to another hypothesis: then it is taken, with the interpretation
@@ -252,11 +257,8 @@ class _SoFar:
             there = interpreted(self.model.under(found.best.of.each()), found.best)
             if there is not self.model:
                 same = there.link is self.model.link
-                self._through(
-                    there,
-                    found.best,
-                    self._likelihood.through(there) if same else Likelihood(there, self._counts),
-                )
+                known = self._likelihood.through(there) if same else there.likelihood()
+                self._through(there, found.best, known)
         return grown
 
     def causes_of(self, other: Explanation) -> None:
@@ -283,26 +285,18 @@ class _SoFar:
         """Where no cause helps."""
         if self.found.best.causes or self._noise:
             return False
-        there = interpreted(self.model, self.found.best)
-        if there is not self.model:
-            self._through(there, self.found.best, Likelihood(there, self._counts))
-            return True
-        return False
+        return self._led_to(interpreted(self.model, self.found.best), self.found.best)
 
     def another_noise(self) -> bool:
         """Noise of the log as well."""
-        there, base = with_other_noise(self.model, self.found, self._counts)
-        if there is not self.model:
-            self._through(there, base, Likelihood(there, self._counts))
-            return True
-        return False
+        return self._led_to(*with_other_noise(self.model, self.found))
 
     def other_candidates(self) -> bool:
         """Those with many numbers, and tones in what is left."""
         if self._noise:
             return False
-        model, have = self.model, {c.key for c in self.candidates}
-        lines = hums(model, self.found.best.left) if isinstance(model.link, WrenchLink) else ()
+        have = {c.key for c in self.candidates}
+        lines = hums(self.model, self.found.best.left)
         more, self._kept = [c for c in (*lines, *self._kept) if c.key not in have], ()
         self.candidates, self._new = (*self.candidates, *more), bool(more)
         return bool(more)
@@ -315,10 +309,11 @@ class _SoFar:
             return False
         self._alone_asked = True
         there, alone = with_one_cause(self.found, self.everything)
-        if there is self.model and alone.evidence <= self.found.best.evidence:
+        if there is not self.model:
+            return self._led_to(there, alone)
+        if alone.evidence <= self.found.best.evidence:
             return False
-        same = there is self.model
-        self._through(there, alone, self._likelihood if same else Likelihood(there, self._counts))
+        self._through(there, alone, self._likelihood)
         return True
 
     def several_causes(self) -> bool:
@@ -343,7 +338,7 @@ def with_one_cause(
     for other in (link, *(x for group in groups for x in group)):
         likelihood = here
         if other is not link:
-            likelihood = Likelihood(here.model.through(other), here.counts, here.choices)
+            likelihood = here.model.through(other).likelihood(here.choices)
         for fit in extended(likelihood, likelihood.start(), candidates)[:1]:
             if fit.evidence > least:
                 assert isinstance(likelihood.model, LinkModel)
@@ -352,9 +347,7 @@ def with_one_cause(
     return model, best
 
 
-def with_other_noise(
-    model: LinkModel, found: Searched, counts: Array
-) -> tuple[LinkModel, PosteriorFit]:
+def with_other_noise(model: LinkModel, found: Searched) -> tuple[LinkModel, PosteriorFit]:
     """The model with noise of the log as well, and the hypothesis to go on from: what the best one
     leaves may be such noise, or all of what it explains; both themselves where neither is so.
     """
@@ -363,7 +356,7 @@ def with_other_noise(
         return with_noise_of_the_log(model, best), best
     if best.causes and model.link.name == "dynamics":
         noisy = with_noise_of_the_log(model, found.null)
-        alone = Likelihood(noisy, counts).start()
+        alone = noisy.likelihood().start()
         if noisy is not model and noisy.deviance(alone) < model.deviance(best):
             return noisy, found.null
     return model, best
@@ -386,12 +379,7 @@ def interpreted(model: LinkModel, found: PosteriorFit) -> LinkModel:
         return model
     for others in model.link.interpretations(found.of.each()):
         models = [model, *(model.through(link) for link in others)]
-        fits = [
-            Likelihood(m, independent(m.residuals(found.of), True)).fit(
-                found.causes, [found.of.theta]
-            )
-            for m in models
-        ]
+        fits = [m.likelihood().fit(found.causes, [found.of.theta]) for m in models]
         costs = [f.cost for f in fits]
         best = int(np.argmin(costs))
         if costs[best] < costs[0] - 2.0 * READ_OTHERWISE:
@@ -400,36 +388,32 @@ def interpreted(model: LinkModel, found: PosteriorFit) -> LinkModel:
 
 
 def hums(model: LinkModel, left: Sequence[Array]) -> tuple[Candidate, ...]:
-    """Tones of one phase in all runs in what is left of the forces."""
-    link, rows = model.link, max(r.rows for r in model.link.runs)
+    """Tones of one phase in all runs in what is left of the forces: the strongest line of each axis
+    that exceeds white noise.
+    """
+    if not isinstance(model.link, WrenchLink):
+        return ()
+    runs, rows = model.link.runs, max(r.rows for r in model.link.runs)
     size = max(MIN_SPECTRUM_ROWS, 1 << (rows - 1).bit_length())
     total, count, level = np.zeros((3, size // 2 + 1), complex), np.zeros(3), np.zeros(3)
     for (n, c, inside), at, z in zip(model.groups, model.rows, left, strict=False):
-        if c > 2 or (inside and not link.runs[model.members[n]].touching.all()):
+        run = runs[model.members[n]]
+        if c > 2 or (inside and not run.touching.all()):
             continue
-        sigma = link.runs[model.members[n]].sigma[at, c]
+        sigma = run.sigma[at, c]
         x = np.zeros(size)
         x[at] = z * sigma - np.mean(z * sigma)
         total[c] += np.fft.rfft(x)
         count[c] += len(at)
         level[c] = max(level[c], float(np.median(sigma)))
-    frequencies = np.fft.rfftfreq(size, link.tick)
+    frequencies = np.fft.rfftfreq(size, model.link.tick)
     total[:, frequencies < MIN_FREQUENCY] = 0.0
-    found = strongest_lines(total, frequencies, count, level)
-    return tuple(SensorHum.near(axis, *line) for axis, line in found.items())
-
-
-def strongest_lines(
-    spectra: np.ndarray, frequencies: np.ndarray, counts: np.ndarray, levels: Array
-) -> dict[str, tuple[float, float, float]]:
-    """Axis to frequency [Hz], amplitude [N] and phase [rad] of the strongest line of its spectrum
-    (3, F) of so many samples, if it exceeds white noise of the ``levels`` (3,) [N].
-    """
-    out = {}
-    for axis, spectrum, count, level in zip("xyz", spectra, counts, levels, strict=True):
+    out = []
+    for axis, spectrum, rows, sigma in zip("xyz", total, count, level, strict=True):
         at = int(np.argmax(np.abs(spectrum)))
         line = spectrum[at]
-        if count and abs(line) ** 2 > MIN_LINE_POWER * count * level**2:
+        if rows and abs(line) ** 2 > MIN_LINE_POWER * rows * sigma**2:
             phase = float(np.angle(line) + math.pi / 2.0)
-            out[axis] = (float(frequencies[at]), 2.0 * abs(line) / count, phase)
-    return out
+            amplitude = 2.0 * abs(line) / rows
+            out.append(SensorHum.near(axis, float(frequencies[at]), amplitude, phase))
+    return tuple(out)

@@ -1,7 +1,6 @@
-"""Stage "decide": from the explanations of the links (`Findings`) to a `Finding`.
-
-A `Finding` holds the verdict, the causes with their intervals, the gain on left-out runs, the
-ranking of hypotheses, and which effects the data can tell apart.
+"""Stage "decide": from the explanations of the links (`Findings`) to a `Finding`: the verdict, the
+causes with their intervals, the gain on left-out runs, the ranking of hypotheses, and which effects
+the data can tell apart.
 """
 
 from __future__ import annotations
@@ -13,11 +12,10 @@ from scipy.stats import gmean
 
 from hiltestbed.diagnosis.certainty import certainty
 from hiltestbed.diagnosis.explain import Explanation, OpenPair, effects_of
-from hiltestbed.diagnosis.heldout import heldout
-from hiltestbed.diagnosis.in_part import explained
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.isolability import isolability
 from hiltestbed.diagnosis.learned.finding import learned_on
+from hiltestbed.diagnosis.learned.selection import MIN_HELDOUT_GAIN
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.plain import LINK_NAMES, entry, listed
 from hiltestbed.diagnosis.rebound import with_rebounds
@@ -32,12 +30,11 @@ from hiltestbed.diagnosis.result import (
     Parameter,
     Ranked,
 )
-from hiltestbed.diagnosis.settings import MIN_HELDOUT_GAIN
 from hiltestbed.diagnosis.timing import clock_offsets
 from hiltestbed.diagnosis.unexplained import contradiction, describe
-from hiltestbed.diagnosis.verdict import Named, Verdict, decide
+from hiltestbed.diagnosis.verdict import Named, Verdict, decide, explained
 from hiltestbed.effects.base import Effect
-from hiltestbed.inference.conclude import Confirmed, Estimate
+from hiltestbed.inference.conclude import Confirmed, Estimate, LeftOut
 from hiltestbed.inference.likelihood import PosteriorFit
 from hiltestbed.inference.search import Progress
 from hiltestbed.process.progress import labelled
@@ -47,6 +44,7 @@ MAX_RANKED = 6  # hypotheses of a link that are listed
 MAX_RANKED_HELDOUT = 3  # of them, scored on left-out runs
 # links whose output is measured: their residual is compared with its noise
 MEASURED_LINKS = ("platform", "wrench")
+LEAST_LEFT_OUT = 0.005  # share of the rows in contact, from which it is said that they do not count
 
 
 @dataclass(frozen=True)
@@ -125,52 +123,42 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
     )
 
 
-def _left_out(findings: Findings) -> tuple[str, ...]:
+def _left_out(findings: Findings) -> list[str]:
     """Sentences on the share of the contact that was not compared; none where all of it was."""
     link, layout = findings.whole.get("wrench"), findings.layout
     if not isinstance(link, WrenchLink):
-        return ()
-    touching = [r.touching(run.rows) for r, run in zip(layout.runs, link.runs, strict=True)]
-    untold = [
-        np.asarray(np.isinf(run.sigma).all(axis=1))
-        if link.simulated
-        else np.zeros(run.rows, dtype=bool)
-        for run in link.runs
-    ]
+        return []
+    untold = [np.isinf(run.sigma).all(axis=1) & link.simulated for run in link.runs]
     beside = [link.beside_jumps(i) for i in range(len(link.runs))]
     whys = (
         (untold, "there the smallest difference decides how the mechanism moves"),
         (beside, "there the platform jumps, and which reading shows a jump is not known"),
     )
-    rows = max(sum(int(t.sum()) for t in touching), 1)
-    left = [
-        (sum(int((o & t).sum()) for o, t in zip(out, touching, strict=True)) / rows, why)
-        for out, why in whys
+    touching = [r.touching(run.rows) for r, run in zip(layout.runs, link.runs, strict=True)]
+    inside = np.concatenate(touching)
+    shares = [(float(np.sum(np.concatenate(out) & inside)), why) for out, why in whys]
+    rows = max(float(inside.sum()), 1.0)
+    return [
+        f"{count / rows:.0%} of the rows in contact were left out: {why}"
+        for count, why in shares
+        if count / rows >= LEAST_LEFT_OUT
     ]
-    return tuple(
-        f"{share:.0%} of the rows in contact were left out: {why}"
-        for share, why in left
-        if share >= 0.005
-    )
 
 
 def _nearest(findings: Findings, verdict: Verdict) -> tuple[Named, ...]:
     """The effect that comes nearest where the worst link departs and nothing is named on it."""
     if verdict.verdict != "unknown":
         return ()
-    open_ = {n: e for n, e in findings.explanations.items() if e.departs and not e.adequate}
+    open_ = {n: e for n, e in findings.explanations.items() if not e.adequate}
     name = max(open_, key=lambda n: open_[n].excess)
     e = open_[name]
     best = next((f for f in e.singles() if f.evidence > e.conclusion.null.evidence), None)
-    return () if best is None else (Named(name, _as_fitted(best)),)
-
-
-def _as_fitted(found: PosteriorFit) -> Confirmed:
-    """The cause of a fit of one, which nothing confirms."""
-    (cause,) = (c for c in found.causes if c.sigma is None)
-    values = zip(cause.names, found.of.theta, strict=False)
+    if best is None:
+        return ()
+    (cause,) = (c for c in best.causes if c.sigma is None)
+    values = zip(cause.names, best.of.theta, strict=False)
     estimates = tuple(Estimate(n, float(v), float(v), float(v)) for n, v in values)
-    return Confirmed(cause, estimates, 0.0, 1.0, ())
+    return (Named(name, Confirmed(cause, estimates, 0.0, 1.0, ())),)
 
 
 def _learned(
@@ -182,11 +170,8 @@ def _learned(
     A cause named in part is dropped if curves alone do as well as curves beside it, with fewer
     numbers: it was a part of them.
     """
-    open_ = {
-        n: e
-        for n, e in findings.explanations.items()
-        if n in MEASURED_LINKS and e.departs and not e.adequate
-    }
+    links = findings.explanations
+    open_ = {n: links[n] for n in MEASURED_LINKS if n in links and not links[n].adequate}
     if verdict.verdict not in ("unknown", "named_in_part") or not open_:
         return verdict, share, None, ()
     name = max(open_, key=lambda n: (n == verdict.link, n == "wrench"))
@@ -261,8 +246,26 @@ def gain_of(findings: Findings, causes: tuple[Named, ...]) -> Heldout | None:
         return None
     e = findings.explanations[causes[0].link]
     if e.causes:
-        return heldout(e)
+        return heldout(e, e.fit)
     return heldout(e, next(f for f in e.singles() if effects_of(f)[0].kind == causes[0].effect))
+
+
+def heldout(e: Explanation, found: PosteriorFit) -> Heldout | None:
+    """The gain of ``found``, fitted to all runs but one, on that one, beside that of a placebo: a
+    wrong effect with about as many parameters, the worst fitted, not the next best. None with one
+    run, or without a cause.
+    """
+    runs = e.model.members
+    if len(runs) < 2 or not found.causes:
+        return None
+    own, count, null = {c.kind for c in found.causes}, len(found.of.theta), e.conclusion.null
+    wrong = [f for f in e.singles() if not own & {c.kind for c in f.causes}]
+    far = min(wrong, key=lambda f: (abs(len(f.of.theta) - count), f.evidence), default=null)
+    held = LeftOut(e.likelihood, e.model.folds())
+    squares = [
+        dict(zip(runs, (held.rms(f) ** 2).tolist(), strict=True)) for f in (null, found, far)
+    ]
+    return Heldout.of(runs, *squares)
 
 
 def _ranking(name: str, e: Explanation) -> list[Ranked]:
@@ -288,8 +291,8 @@ def _open(findings: Findings, verdict: Verdict) -> tuple[OpenPair, ...]:
         for e in [findings.explanations[c.link]]
         for _, fit in c.rivals
     ]
-    departing = (e for e in findings.explanations.values() if e.departs and not e.adequate)
-    return (*rivals, *(pair for e in departing for pair in _nearest_pair(e)))
+    open_ = (e for e in findings.explanations.values() if not e.adequate)
+    return (*rivals, *(pair for e in open_ for pair in _nearest_pair(e)))
 
 
 def _nearest_pair(e: Explanation) -> list[OpenPair]:
@@ -297,9 +300,8 @@ def _nearest_pair(e: Explanation) -> list[OpenPair]:
     best, *others = e.ranked() or [e.fit]
     kinds = [{x.kind for x in effects_of(f)} for f in (best, *others)]
     pairs = zip(others, kinds[1:], strict=True)
-    return [OpenPair(e, (best, f)) for f, own in pairs if not (own <= kinds[0] or own >= kinds[0])][
-        :1
-    ]
+    apart = [f for f, own in pairs if not (own <= kinds[0] or own >= kinds[0])]
+    return [OpenPair(e, (best, f)) for f in apart[:1]]
 
 
 def _isolability(findings: Findings, progress: Progress | None) -> tuple[Isolable, ...]:

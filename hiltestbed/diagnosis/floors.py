@@ -16,12 +16,13 @@ import numpy as np
 
 from hiltestbed.diagnosis.free_flight import TOUCH_MARGIN_ROWS, first_touch
 from hiltestbed.diagnosis.noise import POSE_PARTS, moved_axes, undithered
-from hiltestbed.diagnosis.settings import MIN_FREE_ROWS, MIN_NOISE_ROWS, SIGNIFICANCE_SIGMA
+from hiltestbed.diagnosis.settings import MIN_NOISE_ROWS, SIGNIFICANCE_SIGMA
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import white_noise
 from hiltestbed.signals import GROUPS
 
+MIN_FREE_ROWS = 30  # chosen: rows away from contacts from which a noise floor is estimated
 # chosen: noise of one axis of translation over another's; stick-slip motion looks like noise
 MAX_AXIS_NOISE_RATIO = 3.0
 # simulated: relative error of white noise estimated by third differences of n rows, times the root
@@ -47,55 +48,48 @@ def floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
     """Channel to noise floor, by third differences away from contacts, pooled over the runs."""
     out, smooth = {}, smooth_levels(runs)
     for name in dict.fromkeys(c for r in runs for c in r.record.columns()):
-        found, still = [], 0
-        for r in runs:
-            if not r.record.has(name):
-                continue
-            values, step = r.record.column(name), r.record.steps.get(name, 0.0)
-            outside = (
-                values[~r.touching(len(values))]
-                if name.startswith("wrench") and r.survey.contacts
-                else values
-            )
-            # a latched mechanism is never free
-            outside = outside if len(outside) > MIN_FREE_ROWS else values
-            changes = np.diff(outside)
-            changes = changes[np.isfinite(changes)]  # rows may be lost
-            still += int(len(changes) >= 10 and np.median(np.abs(changes)) == 0.0)
-            found.append(max(white_outside(outside, values, step), step / math.sqrt(12.0)))
-        level = float(np.sqrt(np.mean(np.square(found)))) if found else 0.0
+        there = [r for r in runs if r.record.has(name)]
+        found, still = zip(*(_floor(r, name) for r in there), strict=True)
+        level = float(np.sqrt(np.mean(np.square(found))))
         # a dead zone, or a sensor that is off between contacts
-        if name.startswith("wrench_meas") and still * 2 > len(runs):
-            believed = (
-                runs[0].scenario.sensor.noise
-                if ".f" in name
-                else runs[0].scenario.sensor.torque_noise
-            )
-            inside = [
-                white_noise(r.record.column(name)[r.touching(r.record.ticks)])
-                for r in runs
-                if r.survey.contacts
-            ]
-            level = believed or (float(np.median(inside)) if inside else 0.0)
-            steps = [r.record.steps.get(name, 0.0) for r in runs]
-            level = (
-                math.hypot(level, max(steps) / math.sqrt(12.0))
-                if any(undithered(r, name) for r in runs)
-                else level
-            )
+        if name.startswith("wrench_meas") and sum(still) * 2 > len(runs):
+            level = _level_inside(runs, name)
         # of a force: in its colour
-        sampled = (
-            [r.record.sampled.get(name, 0.0) for r in runs] if name.startswith("pose_act") else []
-        )
+        pose = name.startswith("pose_act")
+        sampled = [r.record.sampled.get(name, 0.0) for r in runs] if pose else []
         out[name] = max(level, smooth.get(name, 0.0), *sampled)
     places = [n for n in ("pose_act.px", "pose_act.py", "pose_act.pz") if out.get(n)]
     for name in places:  # stick-slip looks like noise on the axis that moves most
         out[name] = min(out[name], MAX_AXIS_NOISE_RATIO * min(out[n] for n in places))
-    return out | {
-        f"pose_act.r{axis}": 2.0 * out[f"pose_act.q{axis}"]
-        for axis in "xyz"
-        if f"pose_act.q{axis}" in out
-    }
+    turned = [(f"pose_act.r{axis}", f"pose_act.q{axis}") for axis in "xyz"]
+    return out | {r: 2.0 * out[q] for r, q in turned if q in out}
+
+
+def _floor(run: MeasuredRun, name: str) -> tuple[float, bool]:
+    """White noise of a channel away from contacts, and whether it mostly stands still there."""
+    values, step = run.record.column(name), run.record.steps.get(name, 0.0)
+    outside = values
+    if name.startswith("wrench") and run.survey.contacts:
+        outside = values[~run.touching(len(values))]
+    if len(outside) <= MIN_FREE_ROWS:  # a latched mechanism is never free
+        outside = values
+    changes = np.diff(outside)
+    changes = changes[np.isfinite(changes)]  # rows may be lost
+    still = len(changes) >= 10 and np.median(np.abs(changes)) == 0.0
+    return max(white_outside(outside, values, step), step / math.sqrt(12.0)), bool(still)
+
+
+def _level_inside(runs: Sequence[MeasuredRun], name: str) -> float:
+    """Noise of a force that stands still between contacts: as stated, or in contact."""
+    sensor = runs[0].scenario.sensor
+    level = sensor.noise if ".f" in name else sensor.torque_noise
+    if not level:
+        touched = [r for r in runs if r.survey.contacts]
+        inside = [white_noise(r.record.column(name)[r.touching(r.record.ticks)]) for r in touched]
+        level = float(np.median(inside)) if inside else 0.0
+    if not any(undithered(r, name) for r in runs):
+        return level
+    return math.hypot(level, max(r.record.steps.get(name, 0.0) for r in runs) / math.sqrt(12.0))
 
 
 def white_outside(outside: Array, values: Array, step: float = 0.0) -> float:
@@ -103,11 +97,8 @@ def white_outside(outside: Array, values: Array, step: float = 0.0) -> float:
     all ``values``. step: of both.
     """
     found, everywhere = white_noise(outside, step), white_noise(values, step)
-    few = (
-        len(outside) < MIN_NOISE_ROWS
-        and abs(everywhere - found)
-        < 2.0 * WHITE_NOISE_ERROR / math.sqrt(max(1, len(outside))) * everywhere
-    )
+    error = 2.0 * WHITE_NOISE_ERROR / math.sqrt(max(1, len(outside))) * everywhere
+    few = len(outside) < MIN_NOISE_ROWS and abs(everywhere - found) < error
     return everywhere if few else found
 
 
@@ -166,12 +157,14 @@ def smooth_levels(runs: Sequence[MeasuredRun]) -> dict[str, float]:
 
 def _levels(runs: Sequence[MeasuredRun], moving: Sequence[str]) -> dict[str, float]:
     """:func:`smooth_levels`, with those of the ``moving`` axes by the others'."""
-    names = [name for name in GROUPS["pose_act"].columns if name.rpartition(".")[2] not in moving]
-    free = {
-        name: [x for run in runs if len(x := _free(run, name)) > max(FAR_LAGS)] for name in names
-    }
-    level = {name: float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for name, x in free.items() if x}
-    units = [[x / level[name] for x in free[name]] for name in level if level[name] > 0.0]
+    units, level = [], {}
+    for name in GROUPS["pose_act"].columns:
+        free = [x for r in runs if len(x := _free(r, name)) > max(FAR_LAGS)]
+        if not free or name.rpartition(".")[2] in moving:
+            continue
+        level[name] = float(np.sqrt(np.mean(np.concatenate(free) ** 2)))
+        if level[name] > 0.0:
+            units.append([x / level[name] for x in free])
     samples = sum(len(x) for channel in units for x in channel)
     if samples < MIN_NOISE_ROWS * max(len(units), 1):
         return {}
@@ -184,17 +177,13 @@ def _levels(runs: Sequence[MeasuredRun], moving: Sequence[str]) -> dict[str, flo
     chance = SIGNIFICANCE_SIGMA / math.sqrt(samples)
     if first < chance or max(map(abs, others)) > max(chance, MAX_FAR_CORRELATION * first):
         return {}
-    found = {
-        name: value * math.sqrt((1.0 + 2.0 * first) / (1.0 - taken))
-        for name, value in level.items()
-    }
+    above = math.sqrt((1.0 + 2.0 * first) / (1.0 - taken))
+    found = {name: value * above for name, value in level.items()}
     if not moving:
         return found
     white = {f"pose_act.{part}": _white(runs, f"pose_act.{part}") for part in POSE_PARTS}
     above = float(np.median([found[name] / white[name] for name in found if white.get(name)]))
-    return found | {
-        name: above * white[name] for part in moving if (name := f"pose_act.{part}") in white
-    }
+    return found | {n: above * white[n] for p in moving if (n := f"pose_act.{p}") in white}
 
 
 def _free(run: MeasuredRun, name: str) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import theilslopes
 
 from hiltestbed.contact.mount_dynamics import MountDynamics
+from hiltestbed.diagnosis.settings import LINK_MEMORY
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import MAD_TO_SIGMA
@@ -22,7 +23,6 @@ RISEN_SIGMA = 8.0
 RISING_SIGMA = 2.0  # chosen: down to which it is followed back
 LINE_ROWS = 200  # chosen: to which the line of free flight is fitted
 MIN_LINE_ROWS = 20  # chosen: from which its scatter is known well enough
-SETTLING_TIME = 0.05  # chosen: [s] after a contact in which a reading still shows it
 RINGING = 7.0  # time constants of a mount after which its swing has fallen to a thousandth
 
 
@@ -35,30 +35,25 @@ def first_touch(run: MeasuredRun) -> int:
     end = max(0, run.survey.contacts[0].start - TOUCH_MARGIN_ROWS)
     if not run.record.has("wrench_meas"):
         return end
-    risen = max(_risen(run.record.data["wrench_meas"][:end, :3]))
+    risen = _risen(run.record.data["wrench_meas"][:end, :3])
     return max(0, end - risen - TOUCH_MARGIN_ROWS) if risen else end
 
 
-def _risen(forces: Array) -> list[int]:
-    """Of each channel, the last rows that depart from the line of the others, if far enough."""
-    out, rows = [], np.arange(len(forces), dtype=float)
+def _risen(forces: Array) -> int:
+    """The most last rows of a channel that depart from the line of its others, if far enough."""
+    most, rows = 0, np.arange(len(forces), dtype=float)
     for x in forces.T:
         known = np.flatnonzero(np.isfinite(x))
         few = known[:: max(1, len(known) // LINE_ROWS)]
         if len(few) < MIN_LINE_ROWS:
-            out.append(0)
             continue
         line: Any = theilslopes(x[few], rows[few])  # a quarter of the rows may depart from it
         far = np.abs(x - line.intercept - line.slope * rows)
         sigma = MAD_TO_SIGMA * float(np.median(far[known]))
-        risen = far > RISING_SIGMA * sigma
-        count = int(np.argmin(risen[::-1]))
-        out.append(
-            count
-            if count and sigma > 0.0 and far[len(x) - count :].max() > RISEN_SIGMA * sigma
-            else 0
-        )
-    return out
+        count = int(np.argmin((far > RISING_SIGMA * sigma)[::-1]))
+        if count and sigma > 0.0 and far[len(x) - count :].max() > RISEN_SIGMA * sigma:
+            most = max(most, count)
+    return most
 
 
 def free_readings(run: MeasuredRun) -> Array:
@@ -73,18 +68,13 @@ def free_readings(run: MeasuredRun) -> Array:
 
 def readings_apart(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Array]:
     """Rows (M,) away from contacts, and the readings (M, C) there."""
-    record = run.record
-    if not record.has("wrench_meas"):
+    if not run.record.has("wrench_meas"):
         return np.zeros(0), np.zeros((0, len(columns)))
-    values = record.data["wrench_meas"][:, columns]
-    mount = MountDynamics.of([run.scenario])
-    settling = (
-        run.scenario.sensor.delay
-        + SETTLING_TIME
-        + (0.0 if mount is None else RINGING * mount.slowest())
-    )
-    apart = ~run.survey.touching(len(values), round(min(settling * run.scenario.rate, len(values))))
-    first = first_touch(run)
+    values = run.record.data["wrench_meas"][:, columns]
+    mount, first = MountDynamics.of([run.scenario]), first_touch(run)
+    ringing = 0.0 if mount is None else RINGING * mount.slowest()
+    settling = (run.scenario.sensor.delay + LINK_MEMORY + ringing) * run.scenario.rate
+    apart = ~run.survey.touching(len(values), round(min(settling, len(values))))
     apart[first : run.survey.contacts[0].start if run.survey.contacts else first] = False
     apart &= np.isfinite(values).all(axis=1)
     return np.flatnonzero(apart).astype(float), values[apart]
@@ -92,25 +82,17 @@ def readings_apart(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Arr
 
 def straightened(free: Sequence[Array], columns: Sequence[int]) -> tuple[list[Array], Array]:
     """Readings less straight lines of one slope in all runs; their values at the start (R, C)."""
-    rows = [np.arange(len(x), dtype=float) for x in free]
-    above = sum(float(np.sum((t - t.mean()) ** 2)) for t in rows if len(t))
-    slope = (
-        sum(
-            ((t - t.mean())[:, None] * x[:, columns]).sum(axis=0)
-            for t, x in zip(rows, free, strict=True)
-            if len(t)
-        )
-        / above
-    )
-    start = np.array(
-        [
-            x[:, columns].mean(axis=0) - slope * t.mean() if len(t) else np.zeros(len(columns))
-            for t, x in zip(rows, free, strict=True)
-        ]
-    )
-    return [
-        x[:, columns] - s - t[:, None] * slope for t, x, s in zip(rows, free, start, strict=True)
-    ], start
+    readings = [x[:, columns] for x in free]
+    rows = [np.arange(len(x), dtype=float) for x in readings]
+    about = [t - 0.5 * (len(t) - 1) for t in rows]
+    along = sum(t @ x for t, x in zip(about, readings, strict=True))
+    slope = np.asarray(along) / sum(float(t @ t) for t in about)
+    start = np.zeros((len(free), len(columns)))
+    for i, x in enumerate(readings):
+        if len(x):
+            start[i] = x.mean(axis=0) - slope * 0.5 * (len(x) - 1)
+    each = zip(rows, readings, start, strict=True)
+    return [x - s - t[:, None] * slope for t, x, s in each], start
 
 
 def shows_noise(free: Sequence[Array], j: int) -> bool:

@@ -46,19 +46,17 @@ def chosen(
     before it, with these pairs. settled: pairs that some of the runs together tell apart, and by
     how much.
     """
-    runs: list[int] = []
     out: list[tuple[int, dict[Pair, float]]] = []
-    while left and len(out) < MOST_PROPOSED:
-        found = []
+    while left and count and len(out) < MOST_PROPOSED:
+        runs, found = [k for k, _ in out], []
         for k in range(count):
             apart = {pair: x for pair, x in settled([*runs, k]).items() if pair in left}
             found.append((len(apart), min(apart.values(), default=0.0), -k, apart))
-        best = max(found, key=lambda f: f[:3], default=None)
-        if best is None or not best[-1]:
+        *_, last, apart = max(found, key=lambda f: f[:3])
+        if not apart:
             break
-        out.append((-best[2], best[-1]))
-        runs.append(-best[2])
-        left = left - set(best[-1])
+        out.append((-last, apart))
+        left = left - set(apart)
     return out
 
 
@@ -77,62 +75,45 @@ def alternatives(scenario: Scenario) -> list[tuple[str, dict[str, Any]]]:
     """Further runs of a scenario, in words and as settings: other springs and masses, longer,
     tilted, and where it approaches, other speeds and sliding.
     """
-    approach, duration = scenario.approach, scenario.duration
+    approach, duration, craft = scenario.approach, scenario.duration, scenario.spacecraft
     speed, k = approach.velocity[2], scenario.mechanism.contact.stiffness
-    light, heavy = (
-        scenario.spacecraft.chaser.mass / FACTOR,
-        FACTOR * scenario.spacecraft.target.mass,
-    )
-    springs = [
-        (
-            f"on a known spring of {factor * k:.3g} N/m",
-            {
-                "mechanism.contact.stiffness": factor * k,
-                "duration": duration * max(1.0, factor**-0.5),  # a contact lasts as 1/sqrt(k)
-            },
-        )
-        for factor in (FACTOR, 1.0 / FACTOR)
-    ]
-    speeds = [
-        (
-            f"at {factor * speed:.3g} m/s",
-            {"approach.velocity.2": factor * speed, "approach.gap": factor * approach.gap},
-        )
-        for factor in (SPEED_FACTOR, 1.0 / SPEED_FACTOR)
-    ]
-    sliding = (f"sliding at {SLIDING * speed:.3g} m/s", {"approach.velocity.0": SLIDING * speed})
-    return [
-        *springs,
+    light, heavy = craft.chaser.mass / FACTOR, FACTOR * craft.target.mass
+    out: list[tuple[str, dict[str, Any]]] = []
+    for spring in (FACTOR * k, k / FACTOR):
+        longer = duration * max(1.0, (k / spring) ** 0.5)  # a contact lasts as 1/sqrt(k)
+        settings = {"mechanism.contact.stiffness": spring, "duration": longer}
+        out.append((f"on a known spring of {spring:.3g} N/m", settings))
+    out += [
         (f"with a chaser of {light:.3g} kg in the model", {"spacecraft.chaser.mass": light}),
         (f"with a target of {heavy:.3g} kg in the model", {"spacecraft.target.mass": heavy}),
         (f"for {FACTOR * duration:.3g} s", {"duration": FACTOR * duration}),
         (f"tilted by {TILT:g} degrees", {"approach.attitude_deg.1": TILT}),
-        *((*speeds, sliding) if speed else ()),
     ]
+    for factor in (SPEED_FACTOR, 1.0 / SPEED_FACTOR) if speed else ():
+        settings = {"approach.velocity.2": factor * speed, "approach.gap": factor * approach.gap}
+        out.append((f"at {factor * speed:.3g} m/s", settings))
+    if speed:
+        across = SLIDING * speed
+        out.append((f"sliding at {across:.3g} m/s", {"approach.velocity.0": across}))
+    return out
 
 
 def with_noise(scenario: Scenario, noise: Mapping[str, float], seed: int) -> Scenario:
     """A scenario whose sensor has the noise on record; of another ``seed`` in each run, since noise
     that all runs share is none.
     """
-    levels: dict[str, Any] = {
-        f"sensor.{key}": float(np.median([noise[c] for c in columns]))
-        for key, columns in (
-            ("noise", [c for c in noise if c.startswith("wrench_meas.f")]),
-            ("torque_noise", [c for c in noise if c.startswith("wrench_meas.t")]),
-        )
-        if columns
-    }
-    return scenario_from(resolved(scenario), levels | {"seed": seed})
+    levels: dict[str, Any] = {"seed": seed}
+    for key, prefix in (("noise", "wrench_meas.f"), ("torque_noise", "wrench_meas.t")):
+        if known := [level for column, level in noise.items() if column.startswith(prefix)]:
+            levels[f"sensor.{key}"] = float(np.median(known))
+    return scenario_from(resolved(scenario), levels)
 
 
 def noise_on_record(data: MeasuredDataset) -> dict[str, float]:
     """Column to the standard deviation of its noise, the median over the runs."""
-    levels: dict[str, list[float]] = {}
-    for run in data.runs:
-        for column, found in run.survey.noise.items():
-            levels.setdefault(column, []).append(found.white)
-    return {column: float(np.median(v)) for column, v in levels.items()}
+    each = [run.survey.noise for run in data.runs]
+    columns = dict.fromkeys(column for noise in each for column in noise)
+    return {c: float(np.median([n[c].white for n in each if c in n])) for c in columns}
 
 
 def as_measured(

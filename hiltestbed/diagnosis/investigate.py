@@ -8,60 +8,37 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from hiltestbed.diagnosis.explain import Explanation, explain
 from hiltestbed.diagnosis.lacking import too_little
-from hiltestbed.diagnosis.layout import (
+from hiltestbed.diagnosis.layout import lay_out, with_noise_beside
+from hiltestbed.diagnosis.link_model import LinkModel
+from hiltestbed.diagnosis.links import ModelLink, PlatformLink, WrenchLink
+from hiltestbed.diagnosis.path_noise import Path
+from hiltestbed.diagnosis.paths import (
+    best_path,
+    choose_lever,
+    choose_ring,
+    choose_steps,
+    make_wrench_link,
+    too_divergent,
+)
+from hiltestbed.diagnosis.plain import LINK_NAMES
+from hiltestbed.diagnosis.recorded import (
     DatasetLayout,
     compensation_link,
     dynamics_link,
-    lay_out,
-    levels,
     platform_link,
-    pose_rounding,
-    pose_steps,
-    with_noise_beside,
 )
-from hiltestbed.diagnosis.link_model import LinkModel
-from hiltestbed.diagnosis.links import (
-    CompensationLink,
-    DynamicsLink,
-    LinkRun,
-    ModelLink,
-    PlatformLink,
-    WrenchLink,
-    flat_pose,
-)
-from hiltestbed.diagnosis.paths import (
-    BestPath,
-    best_path,
-    make_wrench_link,
-    too_divergent,
-    with_filter_error,
-)
-from hiltestbed.diagnosis.plain import LINK_NAMES
-from hiltestbed.diagnosis.readings import choose_lever, choose_ring, choose_steps
-from hiltestbed.diagnosis.settings import COMPENSATION_FLOOR, CORRELATED_ROWS, DYNAMICS_FLOOR
 from hiltestbed.diagnosis.stiction import sticking
 from hiltestbed.diagnosis.timing import stamped_alone
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.effects.table import EFFECTS
-from hiltestbed.frames import Array
-from hiltestbed.inference.likelihood import Likelihood
 from hiltestbed.inference.search import Progress
-from hiltestbed.measured import MeasuredDataset, MeasuredRun, Record
+from hiltestbed.measured import MeasuredDataset
 from hiltestbed.process.progress import labelled
-from hiltestbed.replay.compensation import needs
 from hiltestbed.sensor.effects import SensorJitter
-from hiltestbed.signals import GROUPS
 
 JITTERS = (0.3, 1.0, 3.0)  # [rows] from which a jitter is sought
-# of the variance of the noise: what lies between two rows has its own, and a quarter of that of
-# each of the two beside
-LOST_NOISE = 1.5
-FORGOTTEN = 0.01  # of the variance of a reading, below which a compensation has forgotten it
-STEP_SIGMA = 1.0 / math.sqrt(12.0)  # of a step, standard deviation of the error by rounding to it
 CLOCKS = ("sensor.delay", "log.skew")
 ORDER = ("compensation", "dynamics", "platform", "wrench")  # of the links
 
@@ -105,13 +82,13 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
     if "compensation" in judged:
         # of a late record each row is tried: a delay that is a row off fits no better than none
         candidates = candidates_of(replace(scales, jumps=True), ("compensation", "log"))
-        model = LinkModel(compensation(layout, layout.rows))
+        model = LinkModel(compensation_link(layout, layout.rows))
         found["compensation"] = explain(model, candidates, told("compensation"))
-        whole["compensation"] = compensation(layout, layout.whole)
+        whole["compensation"] = compensation_link(layout, layout.whole)
     if "dynamics" in judged:
-        model = LinkModel(dynamics(layout, layout.rows))
+        model = LinkModel(dynamics_link(layout, layout.rows))
         found["dynamics"] = explain(model, candidates_of(scales, ("dynamics",)), told("dynamics"))
-        whole["dynamics"] = dynamics(layout, layout.whole)
+        whole["dynamics"] = dynamics_link(layout, layout.whole)
     if "platform" in judged:
         link = platform_link(layout, layout.rows)
         scales, link = with_stiction(layout, link)
@@ -175,8 +152,7 @@ def with_other_clock(e: Explanation) -> Explanation:
     assert isinstance(e.link, WrenchLink)
     groups = e.link.interpretations(e.effects())
     links = [e.link, *(link for group in groups for link in group)]
-    counts = e.likelihood.counts
-    there = [Likelihood(e.model.through(link), counts, e.likelihood.choices) for link in links]
+    there = [e.model.through(link).likelihood(e.likelihood.choices) for link in links]
     late, other = min(
         (
             (likelihood.fit([c if k.key == own.cause.key else k for k in e.fit.causes], start), c)
@@ -231,13 +207,11 @@ def _wrench_candidates(
     return [c for c in found if not (late and c.kind == "sensor.delay")]
 
 
-def _path(
-    layout: DatasetLayout, found: Mapping[str, Explanation]
-) -> tuple[DatasetLayout, BestPath]:
+def _path(layout: DatasetLayout, found: Mapping[str, Explanation]) -> tuple[DatasetLayout, Path]:
     """The path of A, and the layout with the noise of a latched mechanism's force from what the
     believed contact on that path leaves of the readings.
     """
-    path = with_filter_error(layout, best_path(layout, found.get("platform")))
+    path = best_path(layout, found.get("platform"))
     if not any(r.scenario.mechanism.captured for r in layout.runs):
         return layout, path
     link = choose_ring(choose_lever(make_wrench_link(layout, path, layout.whole)))
@@ -247,87 +221,12 @@ def _path(
 
 def links_of(layout: DatasetLayout) -> list[ModelLink]:
     """The links that runs record, on the path of A that is measured."""
-    makers = {"compensation": compensation, "dynamics": dynamics, "platform": platform_link}
-    found = [make(layout, layout.rows) for n, make in makers.items() if n not in layout.missing]
+    makers = (compensation_link, dynamics_link, platform_link)
+    there = [make for n, make in zip(ORDER, makers, strict=False) if n not in layout.missing]
+    found: list[ModelLink] = [make(layout, layout.rows) for make in there]
     if "wrench" in layout.missing:
         return found
     layout, path = _path(layout, {})
     if too_divergent(layout, path):
         return found
     return [*found, make_wrench_link(layout, path, layout.rows)]
-
-
-def compensation(layout: DatasetLayout, rows: Sequence[int]) -> CompensationLink:
-    """The compensation on the first ``rows`` of each run. Where it does not respond linearly to the
-    readings, or the log is slower than the loop, errors of its input are found by replays. Rows do
-    not count that depend on readings which are not on record: one wrong reading shows in many rows
-    of the output.
-    """
-    noise = levels(layout, "wrench_meas")
-    level = COMPENSATION_FLOOR * max(noise[2], 1e-6) * math.sqrt(CORRELATED_ROWS)
-    pairs = list(zip(layout.runs, rows, strict=True))
-    groups = {g for r in layout.runs for g in needs(r.scenario)} - {"wrench_meas"}
-    slower = any("wrench_meas" in r.record.bends for r in layout.runs)
-    if groups or layout.logged or slower:
-        return compensation_link(layout, rows)
-    wrenches = [np.ascontiguousarray(r.record.filled("wrench_meas")[:n]) for r, n in pairs]
-    first = [_computed(r, r.record.data["wrench_comp"], level, n) for r, n in pairs]
-    link, runs = CompensationLink(first, wrenches, {}), []
-    for (r, n), run in zip(pairs, first, strict=True):
-        own = r.record.rounding("wrench_comp")[:n]
-        passed = link.passed(input_variance(r.record, "wrench_meas", noise)[:n])
-        sigma = np.sqrt(run.sigma**2 + own**2 + passed)
-        bridged = np.where(r.record.lost("wrench_meas")[:n, None], noise**2, 0.0)
-        sigma[link.passed(bridged) > FORGOTTEN * noise**2] = np.inf
-        sigma[:, [name in r.record.absent for name in GROUPS["wrench_meas"].columns]] = np.inf
-        runs.append(replace(run, sigma=sigma))
-    return CompensationLink(runs, wrenches, {})
-
-
-def dynamics(layout: DatasetLayout, rows: Sequence[int]) -> DynamicsLink:
-    """The numerical model on the first ``rows`` of each run; where the log is slower than the loop,
-    what interpolation between its rows does is found by replays.
-    """
-    if any("wrench_comp" in r.record.bends for r in layout.runs):
-        return dynamics_link(layout, rows)
-    level = DYNAMICS_FLOOR * math.sqrt(CORRELATED_ROWS)
-    noise, runs, wrenches, variance = levels(layout, "wrench_comp"), [], [], []
-    for r, n in zip(layout.runs, rows, strict=True):
-        run = _computed(r, flat_pose(r.record.data["pose_cmd"]), level, n)
-        written, quantised = pose_rounding(r, "pose_cmd")[:n], pose_steps(r, "pose_cmd")
-        runs.append(replace(run, sigma=np.sqrt(run.sigma**2 + written**2 + quantised**2)))
-        wrenches.append(np.ascontiguousarray(r.record.filled("wrench_comp")[:n]))
-        variance.append(input_variance(r.record, "wrench_comp", noise)[:n])
-    link = DynamicsLink(runs, wrenches)
-    return link.with_input_errors(variance) if any(v.any() for v in variance) else link
-
-
-def input_variance(record: Record, group: str, noise: Array) -> Array:
-    """(ticks, 6) variance of the errors of recorded wrenches, where they are the input of a link:
-    of written digits, of converter steps, and of what bridges lost rows: noise, and the difference
-    of the rows beside, by as much as which a reading jumps at a touch. ``noise``: (6,) of it.
-    """
-    out = record.rounding(group) ** 2
-    for j, name in enumerate(GROUPS[group].columns):
-        if name in record.absent:
-            continue
-        out[:, j] += (STEP_SIGMA * record.steps.get(name, 0.0)) ** 2
-        known = np.flatnonzero(record.measured(name))
-        lost = record.lost(group) & ~record.measured(name)
-        if not lost.any() or not len(known):
-            continue
-        values = record.column(name)[known]
-        at = np.searchsorted(known, np.flatnonzero(lost))
-        before, after = values[np.maximum(at - 1, 0)], values[np.minimum(at, len(known) - 1)]
-        inside = (at > 0) & (at < len(known))
-        error = np.where(inside, np.abs(after - before), np.maximum(abs(before), abs(after)))
-        # the errors of one stretch are alike
-        edges = np.flatnonzero(np.diff(np.r_[False, lost, False])).reshape(-1, 2)
-        length = np.repeat(edges[:, 1] - edges[:, 0], edges[:, 1] - edges[:, 0])
-        out[lost, j] += length * error**2 + LOST_NOISE * noise[j] ** 2
-    return out
-
-
-def _computed(run: MeasuredRun, values: Array, level: float, rows: int) -> LinkRun:
-    sigma = np.where(np.isfinite(values[:rows]), level, np.inf)
-    return LinkRun(run.scenario, np.nan_to_num(values[:rows]), sigma, run.touching(rows))

@@ -8,6 +8,7 @@ parallel residuals cannot be told apart at small size.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,12 +17,15 @@ import numpy as np
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.result import Isolable
-from hiltestbed.diagnosis.settings import DETECTION, PENALTY
+from hiltestbed.diagnosis.settings import DETECTION
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.search import Progress
 from hiltestbed.process.progress import UnitTime, time_left_text
 
+# derived: chi-square for each parameter, by the Bayesian information criterion for some thousand
+# independent samples
+PENALTY = math.log(1000.0)
 # chosen: of two residuals, above which effects are look-alikes: a tenth of the smaller one's energy
 # is its own
 LOOK_ALIKE_COSINE = 0.97
@@ -35,21 +39,16 @@ def isolability(
     shows most at its largest size.
     """
     found = detectable(residual, candidates, progress)
-    directions = {
-        s.kind: s.change / np.sqrt(square(s.change)) for s in found if s.change is not None
-    }
+    seen = {s.kind: s.change for s in found if s.change is not None}
+    directions = {kind: change / np.sqrt(square(change)) for kind, change in seen.items()}
     out = []
     for s in found:
-        likeness = {
-            other: abs(float(np.einsum("m,m->", directions[s.kind], d)))
-            for other, d in directions.items()
-            if other != s.kind and s.kind in directions
-        }
-        same = tuple(
-            o
-            for o, v in sorted(likeness.items(), key=lambda item: -item[1])
-            if v > LOOK_ALIKE_COSINE
-        )
+        own, likeness = directions.get(s.kind), dict[str, float]()
+        if own is not None:
+            others = {k: d for k, d in directions.items() if k != s.kind}
+            likeness = {k: abs(float(np.einsum("m,m->", own, d))) for k, d in others.items()}
+        ranked = sorted(likeness, key=lambda k: -likeness[k])
+        same = tuple(k for k in ranked if likeness[k] > LOOK_ALIKE_COSINE)
         most = max(likeness.values(), default=0.0)
         out.append(Isolable(s.kind, s.parameter, s.unit, s.size, same, most))
     return tuple(out)
@@ -70,7 +69,6 @@ class Detectable:
 
     @property
     def effects(self) -> Effects:
-        """The effect at that size."""
         return [self.candidate.at(self.theta)]
 
     @property
@@ -103,63 +101,37 @@ class Detectable:
 def detectable(
     residual: Residual, candidates: Sequence[Candidate], progress: Progress | None = None
 ) -> list[Detectable]:
-    """One for each effect among the candidates."""
-    first = list(_clearest(residual, candidates).values())
-    return _smallest(residual, first, progress)[::-1]
+    """One for each effect among the candidates: of its hypotheses the one that changes the residual
+    most at its largest size, at the smallest size that would be detected beyond its penalty.
 
-
-def _clearest(residual: Residual, candidates: Sequence[Candidate]) -> dict[str, Candidate]:
-    """Of each effect, in reverse order, the hypothesis that changes the residual most."""
-    changes = _changes(
-        residual, residual(()), candidates, np.array([1.0 if c.names else 0.0 for c in candidates])
-    )
-    found: dict[str, tuple[float, Candidate]] = {}
-    for c, change in zip(reversed(candidates), reversed(changes), strict=True):
-        size = square(change)
-        if c.kind not in found or size >= found[c.kind][0]:
-            found[c.kind] = (size, c)
-    return {kind: c for kind, (_, c) in found.items()}
-
-
-def _smallest(
-    residual: Residual, candidates: Sequence[Candidate], progress: Progress | None
-) -> list[Detectable]:
-    """The smallest size of each candidate that would be detected beyond its penalty.
-
-    The bisections of all candidates go on together: each step is one replay.
+    The bisections of all effects go on together: each step is one replay.
     """
     null = residual(())
-    need = [DETECTION + PENALTY * max(1, len(c.names)) for c in candidates]
-    low, high = np.zeros(len(candidates)), np.ones(len(candidates))
-    best: list[Array | None] = [None] * len(candidates)
-    for d, i, c in zip(
-        _changes(residual, null, candidates, high), range(len(candidates)), candidates, strict=True
-    ):
-        best[i] = d if square(d) > need[i] else None
-        high[i] = 1.0 if c.names else 0.0
-    open_ = [i for i, c in enumerate(candidates) if c.names and best[i] is not None]
+    largest: dict[str, tuple[Candidate, Array]] = {}
+    changes = _changes(residual, null, candidates, np.ones(len(candidates)))
+    for c, change in zip(candidates, changes, strict=True):
+        if c.kind not in largest or square(change) > square(largest[c.kind][1]):
+            largest[c.kind] = (c, change)
+    first = [c for c, _ in largest.values()]
+    need = [DETECTION + PENALTY * max(1, len(c.names)) for c in first]
+    best = [d if square(d) > n else None for (_, d), n in zip(largest.values(), need, strict=True)]
+    low, high = np.zeros(len(first)), np.array([1.0 if c.names else 0.0 for c in first])
+    open_ = [i for i, c in enumerate(first) if c.names and best[i] is not None]
     pace = UnitTime()
     for done in range(BISECTIONS):
         if progress:
             pace.update(done)
-            progress(
-                f"round {done + 1} of "
-                f"{BISECTIONS}{time_left_text(pace.left(BISECTIONS - done), 'in this step')}"
-            )
+            left = time_left_text(pace.left(BISECTIONS - done), "in this step")
+            progress(f"round {done + 1} of {BISECTIONS}{left}")
         middle = 0.5 * (low + high)
-        for j, d in zip(
-            open_,
-            _changes(residual, null, [candidates[j] for j in open_], middle[open_]),
-            strict=True,
-        ):
-            if square(d) > need[j]:
-                high[j], best[j] = middle[j], d
+        changes = _changes(residual, null, [first[i] for i in open_], middle[open_])
+        for i, d in zip(open_, changes, strict=True):
+            if square(d) > need[i]:
+                high[i], best[i] = middle[i], d
             else:
-                low[j] = middle[j]
-    return [
-        Detectable(c, _at(c, float(most)), change)
-        for c, change, most in zip(candidates, best, high, strict=True)
-    ]
+                low[i] = middle[i]
+    each = zip(first, best, high, strict=True)
+    return [Detectable(c, _at(c, float(most)), change) for c, change, most in each]
 
 
 def _changes(

@@ -4,7 +4,7 @@ cannot be replayed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from hiltestbed.replay import can_carry, follows_exactly
 from hiltestbed.replay.compensation import needs
 from hiltestbed.signals import GROUPS
 
+OFF_AXIS = "with motion off the axis of insertion"
 # derived: of the rows in which effects show. The smallest size that shows goes with the inverse
 # root of their number: below a quarter an effect must be more than twice as large
 LEAST_SHARE = 0.25
@@ -24,65 +25,93 @@ MAX_UNKNOWN_SHARE = 0.9  # chosen: of the rows of every run, that depend on miss
 
 def lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
     """Link to the reason why it is not judged."""
+    why = {link: reason(runs) for link, reason in REASONS.items()}
     if any(r.scenario.rig.platform.physical for r in runs):
         free = "the bodies move freely: nothing is computed or commanded"
-        return dict.fromkeys(("platform", "compensation", "dynamics"), free) | _lacking_of_wrench(
-            runs
-        )
-    out = {}
+        why |= dict.fromkeys(("platform", "compensation", "dynamics"), free)
+    return {link: reason for link, reason in why.items() if reason}
+
+
+def _of_platform(runs: Sequence[MeasuredRun]) -> str | None:
     if not every_run_has(runs, "pose_cmd", "pose_act"):
-        out["platform"] = "needs pose_cmd and pose_act in every run"
-    elif not all(all_axes(r, "pose_cmd") for r in runs if not r.scenario.rig.platform.prescribed):
-        out["platform"] = (
-            "needs all axes of pose_cmd: with motion off the axis of insertion each drive moves "
-            "with all of them"
-        )
+        return "needs pose_cmd and pose_act in every run"
+    if not all(all_axes(r, "pose_cmd") for r in runs if not r.scenario.rig.platform.prescribed):
+        return f"needs all axes of pose_cmd: {OFF_AXIS} each drive moves with all of them"
+    return None
+
+
+def _of_compensation(runs: Sequence[MeasuredRun]) -> str | None:
     if not every_run_has(runs, "wrench_meas", "wrench_comp"):
-        out["compensation"] = "needs wrench_meas and wrench_comp in every run"
-    else:
-        groups = sorted({g for r in runs for g in needs(r.scenario)} - {"wrench_meas"})
-        if not every_run_has(runs, *groups):
-            kinds = ", ".join(sorted({r.scenario.compensation.force.kind for r in runs}))
-            out["compensation"] = (
-                f"needs {' and '.join(groups)} in every run for compensation.force {kinds}"
-            )
-        elif not all(all_axes(r, g) for r in runs for g in (needs(r.scenario) if groups else ())):
-            kinds = " and ".join(["wrench_meas", *groups])
-            out["compensation"] = (
-                f"needs all axes of {kinds}: with motion off the axis of insertion each of them "
-                f"acts on the force"
-            )
+        return "needs wrench_meas and wrench_comp in every run"
+    groups = sorted({g for r in runs for g in needs(r.scenario)} - {"wrench_meas"})
+    if not every_run_has(runs, *groups):
+        kinds = ", ".join(sorted({r.scenario.compensation.force.kind for r in runs}))
+        return f"needs {' and '.join(groups)} in every run for compensation.force {kinds}"
+    if groups and not all(all_axes(r, g) for r in runs for g in needs(r.scenario)):
+        kinds = " and ".join(["wrench_meas", *groups])
+        return f"needs all axes of {kinds}: {OFF_AXIS} each of them acts on the force"
+    return None
+
+
+def _of_dynamics(runs: Sequence[MeasuredRun]) -> str | None:
     if not every_run_has(runs, "wrench_comp", "pose_cmd"):
-        out["dynamics"] = "needs wrench_comp and pose_cmd in every run"
-    elif not all(all_axes(r, "wrench_comp") for r in runs):
-        out["dynamics"] = (
-            "needs all axes of wrench_comp: with motion off the axis of insertion each of them "
-            "acts on all of pose_cmd"
-        )
-    elif all(
-        not r.record.only_short_gaps("wrench_comp")
-        and r.record.unknown("wrench_comp")[-1]
-        and r.record.unknown("wrench_comp").mean() > MAX_UNKNOWN_SHARE
+        return "needs wrench_comp and pose_cmd in every run"
+    if not all(all_axes(r, "wrench_comp") for r in runs):
+        return f"needs all axes of wrench_comp: {OFF_AXIS} each of them acts on all of pose_cmd"
+    lost = [r.record.unknown("wrench_comp") for r in runs]
+    short = any(r.record.only_short_gaps("wrench_comp") for r in runs)
+    if not short and all(x[-1] and x.mean() > MAX_UNKNOWN_SHARE for x in lost):
+        return "needs wrench_comp without gaps: the effect of a missing sample on it is permanent"
+    return None
+
+
+def _of_wrench(runs: Sequence[MeasuredRun]) -> str | None:
+    if not every_run_has(runs, "wrench_meas"):
+        return "needs wrench_meas in every run"
+    if not every_run_has(runs, "wrench_meas.fz"):
+        return "needs wrench_meas.fz in every run"
+    if not all(r.record.has("pose_act") or r.record.has("pose_cmd") for r in runs):
+        return "needs pose_act or pose_cmd in every run"
+    if not all(all_axes(r, "pose_act", "pose_cmd") for r in runs):
+        either = "pose_act or pose_cmd"
+        return f"needs all axes of {either}: {OFF_AXIS} the contact depends on each of them"
+    if not all(
+        r.record.has("pose_act") or follows_exactly(r.scenario) or all_axes(r, "wrench_meas")
         for r in runs
     ):
-        out["dynamics"] = (
-            "needs wrench_comp without gaps: the effect of a missing sample on the motion is "
-            "permanent"
+        return "needs pose_act, or all axes of wrench_meas: the drives yield to each of them"
+    if not any(r.survey.contacts for r in runs):
+        return "needs a contact"
+    if not all(sides_of(r.scenario.mechanism).rigid or can_carry(r.scenario) for r in runs):
+        return (
+            "the mechanism has parts that move, or parts that collide at several points: its "
+            "force follows from how A moves within a tick, which is not on record; it is judged "
+            "where tracking is ideal or servo and nothing moves P"
         )
-    return out | _lacking_of_wrench(runs)
+    rigs = [(r.scenario.rig.upper.kind, r.scenario.mechanism.latch) for r in runs]
+    if any(upper != "fixed" and latch is not None for upper, latch in rigs):
+        return (
+            "a latch closes while the upper platform moves: where it holds A depends on motion "
+            "within a tick, which is not on record"
+        )
+    return None
+
+
+REASONS: dict[str, Callable[[Sequence[MeasuredRun]], str | None]] = {
+    "platform": _of_platform,
+    "compensation": _of_compensation,
+    "dynamics": _of_dynamics,
+    "wrench": _of_wrench,
+}
 
 
 def too_little(link: ModelLink) -> str | None:
     """Why a link on which nothing departs is not judged: losses left too little of the rows in
     which its effects show, those in contact or, of a platform, all; None where they did not.
     """
-    counted = np.concatenate(
-        [
-            np.isfinite(run.sigma[run.touching | (link.name == "platform")]).any(axis=1)
-            for run in link.runs
-        ]
-    )
-    share = float(np.mean(counted)) if len(counted) else 1.0
+    everywhere = link.name == "platform"
+    inside = np.concatenate([r.sigma[r.touching | everywhere] for r in link.runs])
+    share = float(np.mean(np.isfinite(inside).any(axis=1))) if len(inside) else 1.0
     if share >= LEAST_SHARE:
         return None
     if share > 0.0:
@@ -91,46 +120,6 @@ def too_little(link: ModelLink) -> str | None:
             f"{share**-0.5:.2g} times as large as in a whole record would show"
         )
     return "no row in which its effects show could be compared"
-
-
-def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:
-    out = {}
-    if not every_run_has(runs, "wrench_meas"):
-        out["wrench"] = "needs wrench_meas in every run"
-    elif not every_run_has(runs, "wrench_meas.fz"):
-        out["wrench"] = "needs wrench_meas.fz in every run"
-    elif not all(r.record.has("pose_act") or r.record.has("pose_cmd") for r in runs):
-        out["wrench"] = "needs pose_act or pose_cmd in every run"
-    elif not all(all_axes(r, "pose_act", "pose_cmd") for r in runs):
-        out["wrench"] = (
-            "needs all axes of pose_act or pose_cmd: with motion off the axis of insertion the "
-            "contact depends on each of them"
-        )
-    elif not all(
-        r.record.has("pose_act") or follows_exactly(r.scenario) or all_axes(r, "wrench_meas")
-        for r in runs
-    ):
-        out["wrench"] = (
-            "needs pose_act, or all axes of wrench_meas: the drives yield to each of them"
-        )
-    elif not any(r.survey.contacts for r in runs):
-        out["wrench"] = "needs a contact"
-    elif not all(sides_of(r.scenario.mechanism).rigid or can_carry(r.scenario) for r in runs):
-        out["wrench"] = (
-            "the mechanism has parts that move, or parts that collide at several points: its "
-            "force follows from how A moves within a tick, "
-            "which is not on record; it is judged where tracking is ideal or servo and nothing "
-            "moves P"
-        )
-    elif any(
-        r.scenario.rig.upper.kind != "fixed" and r.scenario.mechanism.latch is not None
-        for r in runs
-    ):
-        out["wrench"] = (
-            "a latch closes while the upper platform moves: where it holds A depends on motion "
-            "within a tick, which is not on record"
-        )
-    return out
 
 
 def all_axes(run: MeasuredRun, *groups: str) -> bool:

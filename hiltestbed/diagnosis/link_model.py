@@ -18,25 +18,22 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 from scipy.stats import chi2, gamma
 
-from hiltestbed.diagnosis.layout import UNUSED_END_ROWS
 from hiltestbed.diagnosis.links import LinkRun, ModelLink, PlatformLink, Timing, WrenchLink
 from hiltestbed.diagnosis.links.base import whitening_filter
 from hiltestbed.diagnosis.links.wrench import NODES, WEIGHTS
-from hiltestbed.diagnosis.noise import OUTLIER_SIGMA, softened
+from hiltestbed.diagnosis.noise import softened
 from hiltestbed.diagnosis.nuisances import Aside
-from hiltestbed.diagnosis.residual import MAX_RESIDUAL, Residual
-from hiltestbed.diagnosis.settings import (
-    BLOCK_ROWS,
-    MAX_STAMP_SHIFT_ROWS,
-    MODEL_ERROR,
-)
+from hiltestbed.diagnosis.recorded import UNUSED_END_ROWS
+from hiltestbed.diagnosis.residual import Residual, finite
+from hiltestbed.diagnosis.settings import BLOCK_ROWS, MODEL_ERROR, UNKNOWN
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
-from hiltestbed.inference.likelihood import PosteriorFit
+from hiltestbed.inference.likelihood import Likelihood, PosteriorFit
 from hiltestbed.inference.model import Hypothesis, Model
 from hiltestbed.inference.residuals import RunResiduals
-from hiltestbed.measured.noise import MAD_TO_SIGMA
+from hiltestbed.measured.noise import MAD_TO_SIGMA, OUTLIER_SIGMA
+from hiltestbed.measured.shifts import LOGGER
 from hiltestbed.replay.wrench import shifted
 from hiltestbed.sensor.effects import SensorDelay, SensorJitter
 
@@ -47,15 +44,16 @@ TIME_ERROR = 0.05  # [rows] error in time of an integration in steps
 MOST_MODEL_ERROR, MODEL_STEPS = 2.4e-3, 100
 # of the whole force, or torque: an engine's constraints give by a ten-thousandth
 SOFTNESS = 1e-4
-# [rows] standard deviation of a time-stamp offset: loggers stamp up to a row early or late
-STAMP_SIGMA = 1.0 / math.sqrt(3.0)
+# standard deviation of what lies anywhere between -1 and 1: of a time-stamp offset [rows], since
+# loggers stamp up to a row early or late, and of a share of which nothing is known
+EVEN_SIGMA = 1.0 / math.sqrt(3.0)
 # [rows] of an instant within a tick at which a facility samples or obeys
-INSTANT_SIGMA, LATEST_INSTANT = 0.5 / math.sqrt(3.0), 0.5
+LATEST_INSTANT = 0.5
+INSTANT_SIGMA = LATEST_INSTANT * EVEN_SIGMA
 # [rows] by which a stamp is late: a row, half a tick of an instant, and the error due to noise
 LATEST_STAMP = 1.55
 STAMP_STARTS = (-0.8, -0.3, 0.3, 0.8)  # [rows] of a search for an offset
 MOST_OLD = 0.9  # share of the old twist in a new pose; all of it is explicit Euler, a cause
-SHARE_SIGMA = 1.0 / math.sqrt(3.0)  # of a share of which nothing is known, from nothing
 # share of what is left of a computed channel that follows its output, from which it departs
 FOLLOWING = 0.1
 TINY = 1e-300
@@ -64,6 +62,7 @@ COLOUR_ORDER = 16  # of the filter that makes noise white
 # another colour: a neighbour correlation of 0.9 and as much white noise have 1.4
 COLOURED_LEVEL = 2.0
 OUTSIDE, INSIDE = "outside", "in"
+NOTHING = Hypothesis((), np.zeros(0), np.zeros(0))
 # the same of a sample in a fit, of those that exceed as many rms: one normal one in 5e8
 CLIPPED = 6.0
 # probability with which white noise exceeds a limit: of some 50 limits of a set one in 3000 sets
@@ -102,39 +101,18 @@ def leftover(parts: Sequence[Array]) -> Whiteness:
     spectra of R runs a gamma variable of shape R.
     """
     rows, longest = sum(map(len, parts)), max(map(len, parts))
-    size = max(MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(parts)))), 1.0)
-    parts = [np.clip(x, -OUTLIER_SIGMA * size, OUTLIER_SIGMA * size) for x in parts]
+    size = OUTLIER_SIGMA * max(MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(parts)))), 1.0)
+    parts = [np.clip(x, -size, size) for x in parts]
     level = max(sum(float(x @ x) for x in parts) / rows, 1.0)
-    means = [
-        x[: len(x) // BLOCK_ROWS * BLOCK_ROWS].reshape(-1, BLOCK_ROWS).sum(axis=1) for x in parts
-    ]
-    count = sum(map(len, means))
-    squares = sum(float(m @ m) for m in means) / (BLOCK_ROWS * max(count, 1) * level)
+    whole = [x[: len(x) // BLOCK_ROWS * BLOCK_ROWS].reshape(-1, BLOCK_ROWS) for x in parts]
+    means = np.concatenate([x.sum(axis=1) for x in whole])
+    count, lines = max(len(means), 1), max(longest // 2, 1)
+    squares = float(means @ means) / (BLOCK_ROWS * count * level)
     power = sum(np.abs(np.fft.rfft(x, longest))[1:] ** 2 for x in parts) / (rows * level)
-    lines = max(longest // 2, 1)
-    return Whiteness(
-        math.sqrt(level),
-        squares,
-        float(np.max(power, initial=0.0)),
-        (
-            float(chi2.isf(ALLOWED, max(count, 1))) / max(count, 1),
-            float(gamma.isf(ALLOWED / lines, len(parts))) / len(parts),
-        ),
-    )
-
-
-class Covariance(NamedTuple):
-    """The covariance of a run: one over the standard deviations (N, C), 0 where not measured, and
-    the nuisance terms beside them.
-    """
-
-    weight: Array
-    aside: Aside | None
-
-    @property
-    def log_determinant(self) -> float:
-        """Half the logarithm by which the terms raise the determinant."""
-        return 0.0 if self.aside is None else self.aside.log_determinant
+    most_squares = float(chi2.isf(ALLOWED, count)) / count
+    most_power = float(gamma.isf(ALLOWED / lines, len(parts))) / len(parts)
+    line = float(np.max(power, initial=0.0))
+    return Whiteness(math.sqrt(level), squares, line, (most_squares, most_power))
 
 
 class LinkModel(Model):
@@ -170,11 +148,11 @@ class LinkModel(Model):
             more = doubt[i] if doubt else None
             sigma = sigma if more is None else np.hypot(sigma, more)
             self.weight.append(np.where(c, 1.0 / np.where(c, sigma, 1.0), 0.0))
-        own = link.colour()
-        if colour is None and own is not None:
-            colour = [np.tile(own, (len(link.channels), 1)) for _ in link.runs]
+        filters = link.colour()
+        if colour is None and filters is not None:
+            colour = [np.tile(filters, (len(link.channels), 1)) for _ in link.runs]
         self._colour = colour
-        self._aside: dict[int, Aside | None] = {}
+        self._aside: dict[int, Aside] = {}
         self.groups: list[tuple[int, int, bool]] = []
         self.rows: list[np.ndarray] = []
         names = []
@@ -190,19 +168,10 @@ class LinkModel(Model):
         self.runs = tuple(names)
         self.floors = np.ones(len(names))
         # (M,) of each member the places of its samples among those of all channels, group by group
-        self._taken = [
-            np.concatenate(
-                [
-                    np.zeros(0, int),
-                    *(
-                        rows * len(link.channels) + c
-                        for rows, (m, c, _) in zip(self.rows, self.groups, strict=True)
-                        if m == n
-                    ),
-                ]
-            )
-            for n in range(len(self.members))
-        ]
+        own: list[list[np.ndarray]] = [[np.zeros(0, int)] for _ in self.members]
+        for rows, (n, c, _) in zip(self.rows, self.groups, strict=True):
+            own[n].append(rows * len(link.channels) + c)
+        self._taken = [np.concatenate(rows) for rows in own]
         self._starts = np.cumsum([0, *map(len, self.rows)])[:-1]
 
     def _model_error(self, run: LinkRun) -> Array:
@@ -264,6 +233,9 @@ class LinkModel(Model):
             colour[self.members[n]][c] = whitening_filter(lags)
         return self._with(colour=colour)
 
+    def likelihood(self, choices: int = 1) -> Likelihood:
+        return Likelihood(self, np.array([float(len(rows)) for rows in self.rows]), choices)
+
     def folds(self) -> list[tuple[str, Model, Model]]:
         count = len(self.members)
         if count < 2:
@@ -272,23 +244,22 @@ class LinkModel(Model):
         return [(f"run {self.members[i]}", self.on(rest[i]), self.on([i])) for i in range(count)]
 
     def many(self, of: Sequence[Hypothesis]) -> list[RunResiduals]:
-        lanes = [(i, effects) for effects in (h.each() for h in of) for i in self.members]
-        shown, out = self.link.predict(lanes), []
-        for k in range(len(of)):
-            first = k * len(self.members)
-            z, logs = [], 0.0
+        each = [h.each() for h in of]
+        shown = iter(self.link.predict([(i, effects) for effects in each for i in self.members]))
+        out = []
+        for h, effects in zip(of, each, strict=True):
+            z, logs, smoothing = [np.zeros(0)], 0.0, self.link.smoothing(effects)
             for n, i in enumerate(self.members):
-                prediction, ratio = self._spread(i, shown[first + n], lanes[first + n][1])
+                prediction, ratio = self._spread(i, next(shown), effects)
                 noise = self._noise(i, ratio)
-                own = self.in_sigma(i, prediction, self.link.smoothing(lanes[first + n][1]), noise)
+                own = self.in_sigma(i, prediction, smoothing, noise)
                 z.append(own.ravel()[self._taken[n]])
                 if ratio is not None:
                     logs += float(np.sum(np.log(ratio.ravel()[self._taken[n]])))
                     logs += noise.log_determinant - self._noise(i).log_determinant
-            away = max(self._smoothed_away(of[k]), 0.0)
+            away = max(self._smoothed_away(h), 0.0)
             priors = np.array([math.sqrt(2.0 * logs + away)])
-            left = RunResiduals(np.concatenate([np.zeros(0), *z]), self._starts, priors)
-            out.append(_without_outliers(left))
+            out.append(_without_outliers(RunResiduals(np.concatenate(z), self._starts, priors)))
         return out
 
     def residuals(self, of: Hypothesis) -> RunResiduals:
@@ -353,48 +324,36 @@ class LinkModel(Model):
         mean = np.tensordot(WEIGHTS, np.array(found), 1)
         return mean, np.tensordot(WEIGHTS, (np.array(found) - mean) ** 2, 1)
 
-    def _noise(self, i: int, ratio: Array | None = None) -> Covariance:
-        """Of run i, with deviations ``ratio`` (N, C) times as large."""
-        weight, aside = self.weight[i], self._aside_of(i)
-        if ratio is None:
-            return Covariance(weight, aside)
-        return Covariance(weight / ratio, None if aside is None else aside.under(weight / ratio))
+    def _noise(self, i: int, ratio: Array | None = None) -> Aside:
+        """Weights and nuisance terms of run i, those of its record and of the model's error, with
+        deviations ``ratio`` (N, C) times as large.
+        """
+        if i not in self._aside:
+            run = self.link.runs[i]
+            terms = [run.terms]
+            if isinstance(self.link, WrenchLink):
+                (shown,) = self.link.predict([(i, ())])
+                terms.append(_model_terms(run, shown))
+            self._aside[i] = Aside(self.weight[i], np.concatenate(terms, axis=2))
+        aside = self._aside[i]
+        return aside if ratio is None else aside.under(aside.weight / ratio)
 
     def in_sigma(
-        self, i: int, shown: Array, smoothing: float = 1.0, noise: Covariance | None = None
+        self, i: int, shown: Array, smoothing: float = 1.0, noise: Aside | None = None
     ) -> Array:
         """(N, C) of run i: measured less ``shown`` (N, C), whitened, in units of the noise, by
         default that of the run, that is left of that of the input, ``smoothing``.
         """
-        run = self.link.runs[i]
-        weight, aside = self._noise(i) if noise is None else noise
+        run, noise = self.link.runs[i], noise or self._noise(i)
         left = run.measured - shown
-        if (white := self.link.whitened(i, np.nan_to_num(left, nan=MAX_RESIDUAL))) is not None:
-            return np.clip(white, -MAX_RESIDUAL, MAX_RESIDUAL)
-        if aside is not None:
-            left = left - aside.of(left)
-        z = left * (weight / smoothing)
-        z = softened(z, run.heavy)
+        if (white := self.link.whitened(i, np.nan_to_num(left, nan=UNKNOWN))) is not None:
+            return finite(white)
+        z = softened((left - noise.of(left)) * (noise.weight / smoothing), run.heavy)
         if self._colour is not None:
-            filters = self._colour[i]
-            white = [lfilter(f, 1.0, x) for f, x in zip(filters, z.T, strict=True)]
-            z = np.where(weight > 0.0, np.column_stack(white), 0.0)
-        if not np.isfinite(z).all():
-            z = np.clip(np.nan_to_num(z, nan=MAX_RESIDUAL), -MAX_RESIDUAL, MAX_RESIDUAL)
-        return z
-
-    def _aside_of(self, i: int) -> Aside | None:
-        """The nuisance terms of run i: those of its record, and those of the model's error."""
-        if i not in self._aside:
-            run = self.link.runs[i]
-            terms = [] if run.nuisances is None else [run.nuisances]
-            if isinstance(self.link, WrenchLink):
-                (shown,) = self.link.predict([(i, ())])
-                terms.append(_model_terms(run, shown))
-            columns = np.concatenate(terms, axis=2) if terms else None
-            none = columns is None and run.shared is None
-            self._aside[i] = None if none else Aside(self.weight[i], columns, run.shared)
-        return self._aside[i]
+            pairs = zip(self._colour[i], z.T, strict=True)
+            white = np.column_stack([lfilter(f, 1.0, x) for f, x in pairs])
+            z = np.where(noise.weight > 0.0, white, 0.0)
+        return z if np.isfinite(z).all() else finite(z)
 
     def departure(self, of: Hypothesis) -> list[Array]:
         """In units of the noise alone, without what the model may err by."""
@@ -427,31 +386,28 @@ class LinkModel(Model):
         """
         worst = 0.0
         for c in range(len(self.link.channels)):
-            pairs = []
+            parts, bases = [], []
             for x, rows, (n, d, inside) in zip(left, self.rows, self.groups, strict=False):
                 if d == c and inside:
                     y = uniform_filter1d(self.link.runs[self.members[n]].measured[:, c], BLOCK_ROWS)
                     rate = np.gradient(y)
                     terms = (y, rate, np.gradient(rate), y * np.abs(y), np.abs(rate))
                     basis = np.column_stack(terms)
-                    basis = basis[rows] / (np.std(basis, axis=0) + TINY)
-                    pairs.append((np.clip(x, -MAX_RESIDUAL, MAX_RESIDUAL), basis))
-            square, count = sum(float(x @ x) for x, _ in pairs), sum(len(x) for x, _ in pairs)
-            if len(pairs) < 2 or square <= count:
+                    bases.append(basis[rows] / (np.std(basis, axis=0) + TINY))
+                    parts.append(np.clip(x, -UNKNOWN, UNKNOWN))
+            if len(parts) < 2 or sum(float(x @ x) for x in parts) <= sum(map(len, parts)):
                 continue
-            sizes = np.abs(np.concatenate([x for x, _ in pairs]))
-            size = OUTLIER_SIGMA * max(MAD_TO_SIGMA * float(np.median(sizes)), 1.0)
-            pairs = [(np.clip(x, -size, size), b) for x, b in pairs]
-            after = 0.0
-            for n, (x, b) in enumerate(pairs):
-                others = [pair for m, pair in enumerate(pairs) if m != n]
-                y, a = (np.concatenate(parts) for parts in zip(*others, strict=True))
+            usual = MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(parts))))
+            size = OUTLIER_SIGMA * max(usual, 1.0)
+            parts = [np.clip(x, -size, size) for x in parts]
+            before, after = sum(float(x @ x) for x in parts), 0.0
+            for n, (x, basis) in enumerate(zip(parts, bases, strict=True)):
+                others = [m for m in range(len(parts)) if m != n]
+                a, y = (np.concatenate([p[m] for m in others]) for p in (bases, parts))
                 law = np.linalg.lstsq(a, y, rcond=1e-9)[0]
-                after += float(np.sum((x - b @ law) ** 2))
-            before = sum(float(x @ x) for x, _ in pairs)
-            if not before:
-                continue
-            worst = max(worst, (1.0 - after / before) / FOLLOWING)
+                after += float(np.sum((x - basis @ law) ** 2))
+            if before:
+                worst = max(worst, (1.0 - after / before) / FOLLOWING)
         return worst
 
     def contradicts(self, of: Hypothesis, left: RunResiduals) -> bool:
@@ -493,10 +449,8 @@ class LinkModel(Model):
             errors_of.append([0.5 * self._model_differs() * s for s in shown])
         out = []
         for errors in errors_of:
-            z = [
-                self.in_sigma(i, s - error) - self.in_sigma(i, s)
-                for i, s, error in zip(self.members, shown, errors, strict=True)
-            ]
+            each = zip(self.members, shown, errors, strict=True)
+            z = [self.in_sigma(i, s - e) - self.in_sigma(i, s) for i, s, e in each]
             rows = zip(self.groups, self.rows, strict=True)
             out.append([z[n][at, c] for (n, c, _), at in rows])
         return out
@@ -512,10 +466,9 @@ class LinkModel(Model):
     def deviance(self, found: PosteriorFit) -> float:
         """-2 log of the likelihood of a fit, with the deviations of the noise."""
         weights = [self.link.weights(i) for i in self.members]
-        weights = [
-            self.weight[i] if w is None else w for i, w in zip(self.members, weights, strict=True)
-        ]
-        return found.cost - 2.0 * sum(float(np.sum(np.log(w[w > 0.0]))) for w in weights)
+        pairs = zip(self.members, weights, strict=True)
+        used = [self.weight[i] if w is None else w for i, w in pairs]
+        return found.cost - 2.0 * sum(float(np.sum(np.log(w[w > 0.0]))) for w in used)
 
     def measured(self) -> list[Array]:
         return [
@@ -526,7 +479,7 @@ class LinkModel(Model):
     def timings(self) -> tuple[Candidate, ...]:
         """When the facility samples, obeys, stamps and steps, as nuisances."""
         tick = self.link.tick
-        sigma, ends, starts = STAMP_SIGMA, (-MAX_STAMP_SHIFT_ROWS, LATEST_STAMP), STAMP_STARTS
+        sigma, ends, starts = EVEN_SIGMA, (-LOGGER, LATEST_STAMP), STAMP_STARTS
         if self._stamped:
             sigma, ends = INSTANT_SIGMA, (-LATEST_INSTANT, LATEST_INSTANT)
             starts = tuple(x for x in starts if abs(x) < LATEST_INSTANT)
@@ -534,7 +487,7 @@ class LinkModel(Model):
         if self.link.name == "platform":
             out.append(_nuisance("obeyed", INSTANT_SIGMA, (0.0, LATEST_INSTANT), (0.25,), tick))
         if self.link.name == "dynamics":
-            out.append(_nuisance("old", SHARE_SIGMA, (0.0, MOST_OLD), (0.25, 0.75), 1.0))
+            out.append(_nuisance("old", EVEN_SIGMA, (0.0, MOST_OLD), (0.25, 0.75), 1.0))
         return tuple(out)
 
 

@@ -55,15 +55,12 @@ class LowPass:
 
     def __call__(self, values: Array) -> Array:
         """``values`` (N, C), filtered."""
-        (sections, settled), early = (
-            self._designed,
-            (self.delay if self.prompt else 0.0) - self.part,
-        )
+        sections, settled = self._designed
+        early = (self.delay if self.prompt else 0.0) - self.part
         ahead = math.ceil(max(early, 0.0)) + 1
         held = np.concatenate([values, np.repeat(values[-1:], ahead, axis=0)])
-        through = np.asarray(
-            signal.sosfilt(sections, held, axis=0, zi=settled[:, :, None] * held[0])[0]
-        )
+        state = settled[:, :, None] * held[0]
+        through = np.asarray(signal.sosfilt(sections, held, axis=0, zi=state)[0])
         rows = np.arange(len(values)) + early
         low = np.clip(np.floor(rows).astype(int), 0, len(held) - 2)
         part = np.clip(rows - low, 0.0, 1.0)[:, None]
@@ -91,11 +88,8 @@ class LowPass:
     @property
     def colour(self) -> float:
         """Root of the spectral density of unit filtered white noise at low frequency."""
-        frequency = np.linspace(0.0, 0.5, 4096, endpoint=False)
-        power = 1.0 / (
-            1.0
-            + (np.tan(math.pi * frequency) / math.tan(math.pi * self.cutoff)) ** (2 * self.order)
-        )
+        ratio = np.tan(math.pi * np.linspace(0.0, 0.5, 4096, endpoint=False))
+        power = 1.0 / (1.0 + (ratio / math.tan(math.pi * self.cutoff)) ** (2 * self.order))
         return 1.0 / math.sqrt(float(np.mean(power)))
 
     @property
@@ -105,15 +99,11 @@ class LowPass:
 
     def words(self, rate: float) -> str:
         """The filter in a sentence; ``rate`` [Hz] of the rows."""
-        stamps = (
-            "with its delay removed from the stamps"
-            if self.prompt
-            else "with its delay in the stamps"
-        )
+        stamps = "removed from" if self.prompt else "in"
         return (
             f"the force went to the log through a low-pass of order {self.order} at "
-            f"{self.cutoff * rate:.3g} Hz that the loop did "
-            f"not have, {stamps}: the predictions are filtered alike"
+            f"{self.cutoff * rate:.3g} Hz that the loop did not have, with its delay {stamps} the "
+            f"stamps: the predictions are filtered alike"
         )
 
     def missed(self, values: Array) -> Array:
@@ -123,9 +113,8 @@ class LowPass:
         """
         width = round(RESPONSE_PERIODS / self.cutoff) | 1
         other = replace(self, order=self.order + 1)
-        out = np.sqrt(
-            np.maximum(uniform_filter1d((other(values) - self(values)) ** 2, width, axis=0), 0.0)
-        )
+        square = uniform_filter1d((other(values) - self(values)) ** 2, width, axis=0)
+        out = np.sqrt(np.maximum(square, 0.0))
         if self.prompt:
             out[len(out) - math.ceil(self.delay) :] = np.inf
         return out
@@ -140,50 +129,42 @@ def low_pass_between(
     None where no Butterworth filter does, or interpolation between two rows does better: the
     difference has another origin.
     """
-    counted = [
-        k & (np.arange(len(k)) >= END_ROWS) & (np.arange(len(k)) < len(k) - END_ROWS) for k in known
-    ]
-    if not any(k.any() for k in counted):
-        return None
-    size = np.sqrt(
-        np.mean(np.concatenate([b[k] for b, k in zip(before, counted, strict=True)]) ** 2, axis=0)
-    )
+    counted = [k.copy() for k in known]
+    for k in counted:
+        k[:END_ROWS] = k[max(len(k) - END_ROWS, 0) :] = False
+    inside = np.concatenate([b[k] for b, k in zip(before, counted, strict=True)])
+    size = np.sqrt(np.mean(inside**2, axis=0)) if len(inside) else np.zeros(1)
     if not (size > 0.0).any():
         return None
-    before = [(b / np.where(size > 0.0, size, np.inf)) for b in before]
-    behind = [(b / np.where(size > 0.0, size, np.inf)) for b in behind]
+    size = np.where(size > 0.0, size, np.inf)
+    before, behind = ([x / size for x in xs] for xs in (before, behind))
     rough = [
-        np.concatenate([np.diff(x, 2, axis=0)[k[2:]] for x, k in zip(xs, counted, strict=True)])
-        for xs in (before, behind)
+        sum(float(np.sum(np.diff(x, 2, axis=0)[k[2:]] ** 2)) for x, k in pairs)
+        for pairs in (zip(xs, counted, strict=True) for xs in (before, behind))
     ]
-    if np.sum(rough[1] ** 2) > MAX_ROUGHNESS_RATIO * np.sum(rough[0] ** 2):
+    if rough[1] > MAX_ROUGHNESS_RATIO * rough[0]:
         return None
 
     def left(filtered: Sequence[Array]) -> float:
-        return float(
-            sum(np.sum((b - f)[k] ** 2) for b, f, k in zip(behind, filtered, counted, strict=True))
-        )
+        each = zip(behind, filtered, counted, strict=True)
+        return float(sum(np.sum((b - f)[k] ** 2) for b, f, k in each))
 
     def misfit(order: int, x: Array) -> float:
-        one = LowPass(
-            order, _cutoff(x[0]), part=float(np.clip(x[1], -MAX_LATE_ROWS, MAX_LATE_ROWS))
-        )
+        late = float(np.clip(x[1], -MAX_LATE_ROWS, MAX_LATE_ROWS))
+        one = LowPass(order, _cutoff(x[0]), part=late)
         return left([one(b) for b in before])
 
     found: tuple[float, int, Array] = (math.inf, 0, np.zeros(2))
     for order in ORDERS:
         cost = partial(misfit, order)
-        starts = [
-            np.array([math.log(c), late])
-            for c in CUTOFFS
-            for late in (0.0, LowPass(order, c).delay)
-        ]
+        late = {c: (0.0, LowPass(order, c).delay) for c in CUTOFFS}
+        starts = [np.array([math.log(c), rows]) for c in CUTOFFS for rows in late[c]]
         for start in sorted(starts, key=cost)[:STARTS_PER_ORDER]:
             best: Any = minimize(cost, start, method="Nelder-Mead", options=NELDER_MEAD_OPTIONS)
             if best.fun < found[0]:
                 found = (float(best.fun), order, best.x)
     least, order, x = found
-    if least > MAX_RMS_RATIO**2 * left(before) or least > min(_interpolated(before, left)):
+    if least > MAX_RMS_RATIO**2 * left(before) or least > _interpolated(before, left):
         return None
     one = LowPass(order, _cutoff(x[0]))
     late = min((float(x[1]), float(x[1]) - one.delay), key=abs)
@@ -191,17 +172,17 @@ def low_pass_between(
     return replace(one, prompt=late == float(x[1]), part=late if abs(late) < 1.0 else 0.0)
 
 
-def _interpolated(values: Sequence[Array], left: Callable[[Sequence[Array]], float]) -> list[float]:
-    """What is ``left`` where stamps lie between rows, for each whole number of rows."""
+def _interpolated(values: Sequence[Array], left: Callable[[Sequence[Array]], float]) -> float:
+    """The least that is ``left`` where stamps lie between rows, by any number of rows."""
 
     def misfit(late: float) -> float:
         return left([shifted(v, -late, held=False) for v in values])
 
-    each: list[Any] = [
+    found: list[Any] = [
         minimize_scalar(misfit, bounds=(n, n + 1.0), method="bounded")
         for n in range(-MAX_INTERPOLATED_ROWS, MAX_INTERPOLATED_ROWS)
     ]
-    return [float(found.fun) for found in each]
+    return min(float(f.fun) for f in found)
 
 
 def _cutoff(logarithm: float) -> float:

@@ -41,7 +41,7 @@ from hiltestbed.effects.search import Candidate
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import TOLD_APART
-from hiltestbed.inference.likelihood import Likelihood, PosteriorFit
+from hiltestbed.inference.likelihood import PosteriorFit
 from hiltestbed.measured import MeasuredDataset
 from hiltestbed.signals import GROUPS
 
@@ -73,7 +73,7 @@ def next_experiment(finding: Finding, dataset: MeasuredDataset) -> Experiment | 
     own = dict(dataset.spec.runs[0].set)
     if finding.contrary:
         text = "Repeat a run with nothing changed: the runs on record contradict each other."
-        return Experiment(text, (), (own, own))
+        return Experiment(text, (own, own))
     if finding.open:
         with np.errstate(all="ignore"):
             return _separating(finding, dataset, lacking)
@@ -81,7 +81,7 @@ def next_experiment(finding: Finding, dataset: MeasuredDataset) -> Experiment | 
         return None
     links = " and ".join(finding.not_judged)
     text = f"Record {' and '.join(lacking)} in the same runs: without, {links} cannot be judged."
-    return Experiment(text, (), (own,))
+    return Experiment(text, (own,))
 
 
 def _separating(finding: Finding, dataset: MeasuredDataset, lacking: Sequence[str]) -> Experiment:
@@ -108,8 +108,7 @@ def _separating(finding: Finding, dataset: MeasuredDataset, lacking: Sequence[st
             )
     for i in sorted(left):
         texts.append(_beyond(pairs[i], most[i]))
-    names = {name for pair in pairs for name in pair.names}
-    return Experiment(" ".join(texts), tuple(sorted(names)), tuple(runs))
+    return Experiment(" ".join(texts), tuple(runs))
 
 
 def _settled(
@@ -185,12 +184,8 @@ def _acting(finding: Finding) -> list[Mapping[str, Any]]:
     """The effects of the runs to come: the causes, and where none is named the nearest effect."""
     out: list[Mapping[str, Any]] = [cause.entry() for cause in finding.causes]
     kinds = {e["kind"] for e in out}
-    return out + [
-        entry(e)
-        for pair in finding.open[:1]
-        for e in effects_of(pair.fits[0])
-        if e.kind not in kinds
-    ]
+    nearest = [e for pair in finding.open[:1] for e in effects_of(pair.fits[0])]
+    return out + [entry(e) for e in nearest if e.kind not in kinds]
 
 
 def _known(pair: OpenPair, k: int) -> Array:
@@ -222,11 +217,10 @@ def _about(
     """What a run changes that the hypothesis ``own`` predicts, linear about its numbers ``x``, per
     unit of them in their scales at the fit, as if the ``other`` acted.
     """
-    count = len(x)
-    size, along, products = 0.0, np.zeros(count), np.zeros((count, count))
+    size, along, products = 0.0, np.zeros(len(x)), np.zeros((len(x), len(x)))
     for model in models:
         here = model.link.name == pair.explanation.link.name
-        likelihood = Likelihood(model, np.array([float(len(rows)) for rows in model.rows]))
+        likelihood = model.likelihood()
         causes, at = _acting_on(own, here)
         others, there = _acting_on(other, here)
         (left,) = likelihood.lefts(causes, [x[at]])

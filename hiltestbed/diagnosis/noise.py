@@ -33,17 +33,21 @@ from hiltestbed.diagnosis.low_pass import LowPass
 from hiltestbed.diagnosis.nuisances import (
     BASELINE_DEGREE,
     MIN_BASELINE_ROWS,
-    UNKNOWN,
     baseline_terms,
     phases_differ,
     tones_of,
     wander_between,
     without_tones,
 )
-from hiltestbed.diagnosis.settings import MIN_NOISE_ROWS, SIGNIFICANCE_LEVEL, SIGNIFICANCE_SIGMA
+from hiltestbed.diagnosis.settings import (
+    MIN_NOISE_ROWS,
+    SIGNIFICANCE_LEVEL,
+    SIGNIFICANCE_SIGMA,
+    UNKNOWN,
+)
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
-from hiltestbed.measured.noise import MAD_TO_SIGMA, white_noise
+from hiltestbed.measured.noise import MAD_TO_SIGMA, OUTLIER_SIGMA, THIRD_DIFFERENCE, white_noise
 from hiltestbed.signals import GROUPS
 
 # chosen: samples beyond four standard deviations, in excess of those of normal noise
@@ -74,8 +78,6 @@ MIN_DITHER = 1.0
 STEP_TOLERANCE = 1.01  # chosen: relative error of a step that is estimated from a record
 # chosen: share of the largest motion of a latched mechanism, below which an axis counts as at rest
 MAX_REST = 0.02
-OUTLIER_SIGMA = 4.0  # derived: robust standard deviations, beyond which 6e-5 of normal samples lie
-THIRD_DIFFERENCE_VARIANCE = 20.0  # derived: of third differences of unit white noise: 1 + 9 + 9 + 1
 # derived: squares of third differences that count as one: 1 + 2 (15^2 + 6^2 + 1)/20^2
 CORRELATED_SQUARES = 2.31
 
@@ -116,16 +118,15 @@ class ForceNoise:
 
     def nuisances(self, rows: int, ticks: int, level: Array) -> Array:
         """(rows, 6, D) nuisance terms of a run of ``ticks`` at one sigma; level: (6,) of noise."""
-        unknown = UNKNOWN * level
-        at = np.arange(rows, dtype=float)
-        baseline = (
-            baseline_terms(_places(at, ticks), len(self.wander) - 1)[:, None, :]
-            if len(self.wander)
-            else np.zeros((rows, 1, 0))
-        )
-        waves = [wave(w * at)[:, None] * unknown for w in self.tones for wave in (np.sin, np.cos)]
-        columns = [baseline * np.minimum(self.wander, unknown).T, *(w[:, :, None] for w in waves)]
-        return np.concatenate(columns, axis=2)
+        at, most = np.arange(rows, dtype=float), np.minimum(self.wander, UNKNOWN * level).T
+        terms = [np.zeros((rows, 6, 0))]
+        if len(self.wander):
+            places = _places(at, ticks)
+            terms.append(baseline_terms(places, len(self.wander) - 1)[:, None, :] * most)
+        for w in self.tones:
+            waves = np.stack([np.sin(w * at), np.cos(w * at)], axis=1)
+            terms.append(waves[:, None, :] * (UNKNOWN * level)[:, None])
+        return np.concatenate(terms, axis=2)
 
     def words(self) -> tuple[str, ...]:
         """The assumptions in sentences; none for white noise of one level."""
@@ -178,48 +179,35 @@ def force_noise(
         contact of a latched mechanism on its path, NaN where unknown; None: not known yet, the
         readings themselves are taken for noise.
     """
-    found = _noise(
-        runs, logged, [np.zeros((r.record.ticks, 6)) for r in runs] if shown is None else shown
-    )
-    step = max(
-        (run.record.steps[name] for run in runs for name in CHANNELS[:3] if undithered(run, name)),
-        default=0.0,
-    )
-    stated = not step or step <= STEP_TOLERANCE * max(
-        run.scenario.sensor.quantisation for run in runs
-    )
-    return found if stated else replace(found, step=step)
+    found = _noise(runs, logged, shown or [np.zeros((r.record.ticks, 6)) for r in runs])
+    steps = (r.record.steps[name] for r in runs for name in CHANNELS[:3] if undithered(r, name))
+    step, stated = max(steps, default=0.0), max(r.scenario.sensor.quantisation for r in runs)
+    return replace(found, step=step) if step > STEP_TOLERANCE * stated else found
 
 
 def _noise(
     runs: Sequence[MeasuredRun], logged: LowPass | None, shown: Sequence[Array]
 ) -> ForceNoise:
-    """The noise without its quantisation."""
-    still = ForceNoise(
-        np.zeros(6), logged.colour if logged else 1.0, False, tuple(np.zeros(6) for _ in runs), 0.0
-    )
+    offset = tuple(np.zeros(6) for _ in runs)
+    still = ForceNoise(np.zeros(6), logged.colour if logged else 1.0, False, offset, 0.0)
     latched = any(run.scenario.mechanism.captured for run in runs)
     measured = [j for j in range(6) if not any(undithered(run, CHANNELS[j]) for run in runs)]
-    each = [set(moved_axes(run)) for run in runs if latched and run.record.has("wrench_meas")] or [
-        set[int]()
-    ]
-    moved, driving = sorted(set.union(*each)), sorted(set.intersection(*each))
-    at_rest = (
-        [_at_rest(run, driving, s) for run, s in zip(runs, shown, strict=True)] if latched else []
-    )
-    free = (
-        [readings for _, readings in at_rest] if latched else [free_readings(run) for run in runs]
-    )
+    # axes that move in any run, and in every run
+    axes = [set(moved_axes(r)) for r in runs if latched and r.record.has("wrench_meas")]
+    axes = axes or [set[int]()]
+    moved, driving = sorted(set.union(*axes)), sorted(set.intersection(*axes))
+    if latched:
+        at_rest = [_at_rest(run, driving, s) for run, s in zip(runs, shown, strict=True)]
+        free = [readings for _, readings in at_rest]
+    else:
+        at_rest, free = [], [free_readings(run) for run in runs]
     if sum(len(x) for x in free) < MIN_NOISE_ROWS:
         return still
     columns = [j for j in measured if j not in moved and shows_noise(free, j)]
     if not columns:
         return still
-    apart = (
-        [(rows, x[:, columns]) for rows, x in at_rest]
-        if latched
-        else [readings_apart(run, columns) for run in runs]
-    )
+    apart = [(rows, x[:, columns]) for rows, x in at_rest]
+    apart = apart or [readings_apart(run, columns) for run in runs]
     flat, start = straightened(free, columns)
     if latched:  # whole runs, over which a baseline wanders more than along a line
         flat = [_without_baseline(x) for x in flat]
@@ -231,12 +219,11 @@ def _noise(
     each = np.ascontiguousarray(np.concatenate(flat).T)  # (C, rows)
     scale = MAD_TO_SIGMA * np.median(np.abs(each), axis=1)
     z = [x / np.where(scale > 0.0, scale, 1.0) for x in flat]
-    heavy = (
-        _heavy([x[:: logged.stride] for x in z])
-        if logged
-        else _heavy(z) or sum(_sudden(x) for _, x in apart if len(x)) > MIN_OUTLIERS
-    )
-    colour = logged.colour if logged else _colour(z, bent)
+    if logged:
+        heavy, colour = _heavy([x[:: logged.stride] for x in z]), logged.colour
+    else:
+        sudden = sum(_sudden(x) for _, x in apart if len(x))
+        heavy, colour = _heavy(z) or sudden > MIN_OUTLIERS, _colour(z, bent)
     rows, fitted = sum(map(len, flat)), sum(bent + 2 * len(tones) for x in flat if len(x))
     # of the deviation, by the lines and tones that were fitted
     lost = math.sqrt(rows / max(rows - fitted, 1))
@@ -244,36 +231,31 @@ def _noise(
     if heavy or colour > 1.0:
         level[columns] = [lost * _level(x, heavy) for x in each]
     elif aside:
-        level[columns] = _white_levels(
-            without_tones([x for _, x in apart], aside, [r for r, _ in apart])
-        )
+        silent = without_tones([x for _, x in apart], aside, [r for r, _ in apart])
+        level[columns] = _white_levels(silent)
     pressed = columns
     # noise of an axis that moves shows in third differences alone: as much above these as in the
     # other channels
     if latched:
-        white = _white_levels(
-            [run.record.data["wrench_meas"] for run in runs if run.record.has("wrench_meas")]
-        )
+        there = [r.record.data["wrench_meas"] for r in runs if r.record.has("wrench_meas")]
+        white = _white_levels(there)
         level[moved] = white[moved] * float(np.median(level[columns] / white[columns]))
         pressed = [j for j in moved if j in measured]
         scale = white[pressed]
     share = _share(runs, pressed, scale)
     spread = np.array([lost * float(np.std(x)) * colour for x in each])
-    wander = wander_between(
-        [(_places(r, run.record.ticks), x) for run, (r, x) in zip(runs, apart, strict=True)], spread
-    )
-    offset = still.offset
+    pairs = zip(runs, apart, strict=True)
+    wander = wander_between([(_places(r, run.record.ticks), x) for run, (r, x) in pairs], spread)
     if wander is not None:
         known = np.full((len(wander), 6), np.inf)
         known[:, columns] = wander
-    else:
-        found, unknown = _offsets([len(x) for x in flat], start, spread)
-        if latched and found.any():  # the offset of an axis that moves is not known
-            unknown = True
-        else:
-            for o, f in zip(offset, found, strict=True):
-                o[columns] = f
-        known = np.full((int(unknown), 6), np.inf)
+        return ForceNoise(level, colour, heavy, offset, share, known, aside)
+    found, unknown = _offsets([len(x) for x in flat], start, spread)
+    if latched and found.any():  # the offset of an axis that moves is not known
+        found, unknown = np.zeros_like(found), True
+    for o, f in zip(offset, found, strict=True):
+        o[columns] = f
+    known = np.full((int(unknown), 6), np.inf)
     return ForceNoise(level, colour, heavy, offset, share, known, aside)
 
 
@@ -291,20 +273,16 @@ def moved_axes(run: MeasuredRun) -> list[int]:
     An axis whose pose is not on record may move.
     """
     group = "pose_act" if run.record.has("pose_act") else "pose_cmd"
-    names = [f"{group}.{part}" for part in POSE_PARTS]
-    ranges = [
-        float(np.ptp(x[np.isfinite(x)]))
-        if run.record.has(n) and len(x := run.record.column(n))
-        else math.inf
-        for n in names
+    names, ranges = [f"{group}.{part}" for part in POSE_PARTS], np.full(6, math.inf)
+    for j, name in enumerate(names):
+        if run.record.has(name):
+            x = run.record.column(name)
+            ranges[j] = (1.0 if j < 3 else 2.0) * float(np.ptp(x[np.isfinite(x)]))
+    most = np.max(ranges[np.isfinite(ranges)], initial=0.0)
+    moves = [
+        r > MAX_REST * most and n in run.survey.excited for n, r in zip(names, ranges, strict=True)
     ]
-    ranges = [r if j < 3 else 2.0 * r for j, r in enumerate(ranges)]
-    most = max((r for r in ranges if r < math.inf), default=0.0)
-    return [
-        j
-        for j, r in enumerate(ranges)
-        if r == math.inf or (r > MAX_REST * most and names[j] in run.survey.excited)
-    ]
+    return [j for j in range(6) if ranges[j] == math.inf or moves[j]]
 
 
 def _at_rest(run: MeasuredRun, driving: Sequence[int], shown: Array) -> tuple[Array, Array]:
@@ -321,15 +299,14 @@ def _at_rest(run: MeasuredRun, driving: Sequence[int], shown: Array) -> tuple[Ar
     values, left = (np.where(there, x, 0.0)[rows] for x in (values, values - shown))
     if not driving or len(values) < MIN_NOISE_ROWS:
         return rows.astype(float), left
-    beside = np.concatenate(
-        [values[2:, driving], values[1:-1, driving], values[:-2, driving]], axis=1
-    )
+    push = values[:, driving]
+    beside = np.concatenate([push[2:], push[1:-1], push[:-2]], axis=1)
+    rows, left = rows[1:-1].astype(float), left[1:-1]
     # beside it, since baselines look alike
-    baseline = baseline_terms(_places(rows[1:-1].astype(float), record.ticks), BASELINE_DEGREE)
-    part = np.linalg.lstsq(np.concatenate([beside, baseline], axis=1), left[1:-1], rcond=None)[0][
-        : beside.shape[1]
-    ]
-    return rows[1:-1].astype(float), left[1:-1] - (beside - beside.mean(axis=0)) @ part
+    baseline = baseline_terms(_places(rows, record.ticks), BASELINE_DEGREE)
+    both = np.concatenate([beside, baseline], axis=1)
+    part = np.linalg.lstsq(both, left, rcond=None)[0][: beside.shape[1]]
+    return rows, left - (beside - beside.mean(axis=0)) @ part
 
 
 def _places(rows: Array, ticks: int) -> Array:
@@ -410,53 +387,49 @@ def _offsets(counts: Sequence[int], start: Array, spread: Array) -> tuple[Array,
     beside what they differ by, so that none of it is known. No offset where the runs differ by no
     more than chance.
     """
-    error = np.array([2.0 * spread / math.sqrt(max(n, 1)) for n in counts])
-    known = np.array(counts) > 10
+    none, known = np.zeros_like(start), np.array(counts) > 10
     if known.sum() < 2 or not (spread > 0.0).all():
-        return np.zeros_like(start), False
+        return none, False
+    error = np.array([2.0 * spread / math.sqrt(max(n, 1)) for n in counts])
     weight = np.where(known[:, None], 1.0 / error**2, 0.0)
-    apart = np.where(known[:, None], start - (weight * start).sum(axis=0) / weight.sum(axis=0), 0.0)
-    freedom = (known.sum() - 1) * start.shape[1]
+    apart = start - (weight * start).sum(axis=0) / weight.sum(axis=0)
+    apart = np.where(known[:, None], apart, 0.0)
+    freedom, count = (known.sum() - 1) * start.shape[1], int(known.sum())
     if float(np.sum((apart / error) ** 2)) <= chi_square.isf(SIGNIFICANCE_LEVEL, freedom):
-        return np.zeros_like(start), False
-    readings, count = start[known] / spread, int(known.sum())
+        return none, False
     # against their spread: one F test of all channels
+    readings = start[known] / spread
     between = count * float(np.mean(readings.mean(axis=0) ** 2))
-    shared = between > fisher.isf(SIGNIFICANCE_LEVEL, start.shape[1], freedom) * float(
-        np.mean(readings.var(axis=0, ddof=1))
-    )
-    return (apart, False) if shared else (np.zeros_like(start), True)
+    within = float(np.mean(readings.var(axis=0, ddof=1)))
+    if between > fisher.isf(SIGNIFICANCE_LEVEL, start.shape[1], freedom) * within:
+        return apart, False
+    return none, True
 
 
 def _share(runs: Sequence[MeasuredRun], columns: Sequence[int], scale: Array) -> float:
     """Noise in proportion to the reading, by third differences, beside one to its rate."""
     squares, readings, rates = [], [], []
-    for run in runs:
-        values = (
-            run.record.data["wrench_meas"][:, columns] / scale
-            if run.record.has("wrench_meas")
-            else np.zeros((0, len(columns)))
-        )
+    for run in (r for r in runs if r.record.has("wrench_meas")):
+        values = run.record.data["wrench_meas"][:, columns] / scale
         for c in run.survey.contacts:
             x = values[c.start + CONTACT_MARGIN_ROWS : c.end - CONTACT_MARGIN_ROWS]
             x = x[np.isfinite(x).all(axis=1)]
             if len(x) < 20:
                 continue
-            squares.append(np.diff(x, 3, axis=0).ravel() ** 2 / THIRD_DIFFERENCE_VARIANCE)
+            squares.append(np.diff(x, 3, axis=0).ravel() ** 2 / THIRD_DIFFERENCE**2)
             # nearly independent of the noise of the differences
             rows = max(SMOOTHED_ROWS, round(SMOOTHED_SHARE * len(x)))
             smooth = uniform_filter1d(x, rows, axis=0)
             readings.append((0.5 * (smooth[1:-2] + smooth[2:-1])).ravel() ** 2)
             rates.append(((smooth[2:-1] - smooth[1:-2]) ** 2).ravel())
-    if not squares or sum(map(len, squares)) < 200:
+    if sum(map(len, squares)) < 200:
         return 0.0
     y, *rest = (np.concatenate(x) for x in (squares, readings, rates))
     basis = np.column_stack([np.ones_like(y), *rest])
     found = np.array([1.0, 0.0, 0.0])
     for _ in range(6):
         expected = np.maximum(basis @ found, 0.1)
-        y_used = np.minimum(y, 9.0 * expected)
-        found, _ = nnls(basis / expected[:, None], y_used / expected)
+        found, _ = nnls(basis / expected[:, None], np.minimum(y, 9.0 * expected) / expected)
     weighted = basis / np.maximum(basis @ found, 0.1)[:, None]
     # variance of a square: 2
     information = weighted.T @ weighted / (2.0 * CORRELATED_SQUARES)

@@ -24,7 +24,6 @@ from hiltestbed.frames import Array
 # chosen: of the polynomials; three quarters of a slow period are a quintic to half a percent
 BASELINE_DEGREE = 5
 MIN_BASELINE_ROWS = 60  # chosen: rows of a run, from which its baseline is estimated
-UNKNOWN = 1e6  # chosen: times the noise: an amplitude of which nothing is known
 MAX_TONES = 6  # that are sought
 MIN_POWER_RATIO = 3.0  # chosen: times the power around it, in any case
 # chosen: independent values of the periodograms from which the power around a line is estimated: to
@@ -36,61 +35,35 @@ FREQUENCIES_TRIED = 41  # chosen: within a line's width
 
 
 class Aside:
-    """Nuisance terms of one run under the weights (N, C) of its misfits, each at one standard
-    deviation: ``columns`` (N, C, D), whose amplitudes differ from channel to channel, and
-    ``shared`` (N, C, D'), each of which has one amplitude in all channels, like an error of an
-    input that all of them follow from.
+    """Nuisance terms ``columns`` (N, C, D) of one run under the ``weight`` (N, C) of its misfits,
+    one over the noise, each at one standard deviation, with an amplitude in each channel.
 
     With unit noise and terms U = Q S V^T in units of it, (1 + U U^T)^(-1/2) = 1 - Q (1 - (1 +
-    S^2)^(-1/2)) Q^T whitens the misfits: by the columns first, then by the shared terms as these
-    leave them.
+    S^2)^(-1/2)) Q^T whitens the misfits.
     """
 
-    def __init__(self, weight: Array, columns: Array | None, shared: Array | None = None) -> None:
-        self._weight, self._terms = weight, (columns, shared)
+    def __init__(self, weight: Array, columns: Array) -> None:
+        self.weight, self.columns = weight, columns
         self._inverse = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0)
-        self._own = self._all = None
-        if columns is not None:
-            self._own = _basis(np.moveaxis(columns * weight[:, :, None], 1, 0))  # (C, N, D)
-        if shared is not None:
-            terms = np.moveaxis(shared * weight[:, :, None], 2, 0)  # (D', N, C)
-            white = np.stack([self._without_own(term).ravel() for term in terms], axis=1)
-            self._all = _basis(white)
+        terms = np.moveaxis(columns * weight[:, :, None], 1, 0)  # (C, N, D)
+        self._basis, s, _ = np.linalg.svd(terms, full_matrices=False)
+        self._share = 1.0 - 1.0 / np.hypot(1.0, s)  # of a misfit, that whitening takes away
 
     def under(self, weight: Array) -> Aside:
         """The same terms under other weights (N, C)."""
-        return Aside(weight, *self._terms)
+        return Aside(weight, self.columns)
 
     @property
     def log_determinant(self) -> float:
         """Half the logarithm by which the terms raise the determinant of the covariance."""
-        shares = [basis[1] for basis in (self._own, self._all) if basis is not None]
-        return -sum(float(np.sum(np.log1p(-share))) for share in shares)
+        return -float(np.sum(np.log1p(-self._share)))
 
     def of(self, left: Array) -> Array:
         """``(N, C)`` part of misfits (N, C) that whitening takes away."""
-        misfit = self._weight * left
-        white = self._without_own(misfit)
-        if self._all is not None:
-            q, share = self._all
-            flat = white.ravel()
-            along = np.einsum("md,m->d", q, flat) * share
-            white = (flat - np.einsum("md,d->m", q, along)).reshape(white.shape)
-        return (misfit - white) * self._inverse
-
-    def _without_own(self, misfit: Array) -> Array:
-        """Misfits (N, C) in units of the noise, whitened by the columns of each channel."""
-        if self._own is None:
-            return misfit
-        q, share = self._own
-        along = np.einsum("cnd,nc->cd", q, misfit) * share
-        return misfit - np.einsum("cnd,cd->nc", q, along)
-
-
-def _basis(terms: Array) -> tuple[Array, Array]:
-    """Q of terms (..., N, D), and the share of a misfit along each that whitening takes away."""
-    q, s, _ = np.linalg.svd(terms, full_matrices=False)
-    return q, 1.0 - 1.0 / np.hypot(1.0, s)
+        if not self.columns.shape[2]:
+            return np.zeros_like(left)
+        along = np.einsum("cnd,nc->cd", self._basis, self.weight * left) * self._share
+        return np.einsum("cnd,cd->nc", self._basis, along) * self._inverse
 
 
 def baseline_terms(places: Array, degree: int) -> Array:

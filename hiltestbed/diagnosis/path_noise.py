@@ -1,24 +1,27 @@
-"""Stage "replay": the noise that the path of A in P adds to the reading of contact and sensor.
-
-Of a measured pose, of a smoothed one, of a command, and of drives whose deflection is computed: by
-replays of paths that differ as much.
+"""The noise that the path of A in P adds to the reading of contact and sensor: by replays of paths
+that differ as much, of a measured pose, of a smoothed one, of a command, and of drives whose
+deflection is computed.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from hiltestbed.contact.sides import sides_of
-from hiltestbed.diagnosis.bridged import interpolation_errors, rms_differences
-from hiltestbed.diagnosis.layout import DatasetLayout, wrench_link
 from hiltestbed.diagnosis.links import WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.platform import poses_of
+from hiltestbed.diagnosis.recorded import (
+    DatasetLayout,
+    interpolation_error,
+    smoothed_rms,
+    wrench_link,
+)
 from hiltestbed.diagnosis.settings import (
     BLOCK_ROWS,
     LEVER_ARM,
@@ -42,22 +45,26 @@ COPY_PERTURBATION = 2e-3
 DIVERGENCE_THRESHOLD = 0.3
 DIVERGED_TIME = 0.25  # chosen: [s] for which copies are not used after they have diverged
 
+Copy = Sequence[tuple[Array, Array | None]]  # the pose and rates of each run
+
 
 @dataclass(frozen=True)
 class Path:
-    """The path of A in each run.
+    """The path of A in each run, on which contact and sensor are replayed.
 
     Attributes:
         poses: (N, 7) at t_k. rates: (N, 6) twist at t_k; None: the slope of the tick that ends
             there.
         place, rate: white noise of poses [m] and rates [m/s], of an attitude times its lever arm.
-            source: the group it comes from.
-        rates_measured: whether the rates are on record. rounding: (N, 3) of each run, 1 sigma of
-            the rounding error of the positions [m];
-        empty: there is none. unknown: changes of the poses (N, 6) [m, rad] that the data leave
-            open, those of each run, one standard deviation each; empty: there are none. yielded:
-            (N, 6) of each run [m, rad], part of the path by which drives yielded to a force, where
-            only the command is on record.
+            source: the group it comes from. rates_measured: whether the rates are on record.
+        rounding: (N, 3) 1 sigma of the rounding error of the positions [m]; empty: there is none.
+        unknown: of each run, changes of the poses (N, 6) [m, rad] that the data leave open, one
+            standard deviation each; empty: there are none.
+        yielded: (N, 6) [m, rad], part of the path by which drives yielded to a force, where only
+            the command is on record.
+        noise: (N, 6) of the reading, that is due to the path; None: none. jumps: (N,) distance by
+            which a platform with stiction jumped [m] in the tick that ends at each row; None: it
+            has no stiction.
     """
 
     poses: Sequence[Array]
@@ -69,29 +76,66 @@ class Path:
     rounding: Sequence[Array] = ()
     unknown: Sequence[Sequence[Array]] = ()
     yielded: Sequence[Array] = ()
+    noise: Sequence[Array] | None = None
+    jumps: Sequence[Array] | None = None
+
+    @property
+    def each(self) -> Copy:
+        return list(zip(self.poses, self.rates or [None] * len(self.poses), strict=True))
+
+    @property
+    def differentiated(self) -> bool:
+        """Whether rates are differences of poses, though A does not move uniformly in a tick."""
+        return self.rates is not None and not self.rates_measured
 
 
-def noise_of(layout: DatasetLayout, path: Path) -> list[Array]:
-    """(N, 6) noise of the reading of each run that a path adds: by replays of perturbed copies, and
-    by interpolation between samples.
+def changes(layout: DatasetLayout, path: Path, copies: Sequence[Copy]) -> list[Array]:
+    """(K, N, 6) changes of the readings of each run on copies of its path."""
+    link = wrench_link(layout, path.poses, layout.whole, None, path.rates)
+    poses = [pose for copy in copies for pose, _ in copy]
+    rates = [rate for copy in copies for _, rate in copy if rate is not None]
+    many = WrenchLink([*link.runs] * len(copies), poses, None, rates or None)
+    shown, found = link.shown_in_all(), many.shown_in_all()
+    return [np.array(found[i :: len(shown)]) - shown[i] for i in range(len(shown))]
+
+
+def _noise_by(layout: DatasetLayout, path: Path, copies: Sequence[Copy]) -> list[Array]:
+    """(N, 6) rms of the changes of the readings of each run."""
+    return [smoothed_rms(c) for c in changes(layout, path, copies)]
+
+
+def both(noise: Sequence[Array], other: Sequence[Array] | None) -> list[Array]:
+    """Root of the sum of squares of two noises (N, 6) of each run; the second may be None."""
+    if other is None:
+        return list(noise)
+    return [np.hypot(a, b) for a, b in zip(noise, other, strict=True)]
+
+
+def noise_of(layout: DatasetLayout, path: Path, place: float, rate: float) -> list[Array]:
+    """(N, 6) noise of the reading of each run due to white noise of poses, ``place`` [m], and of
+    rates [m/s], to interpolation between samples, and to rates that are differences.
     """
     rng = np.random.default_rng(0)
 
     def moved(pose: Array, rates: Array | None) -> tuple[Array, Array | None]:
         out = pose.copy()
-        out[:, :3] += path.place * rng.standard_normal((len(pose), 3))
-        out[:, 3:6] += 0.5 * path.place / LEVER_ARM * rng.standard_normal((len(pose), 3))
+        out[:, :3] += place * rng.standard_normal((len(pose), 3))
+        out[:, 3:6] += 0.5 * place / LEVER_ARM * rng.standard_normal((len(pose), 3))
         if rates is None:
             return out, None
-        noise = rng.standard_normal((len(pose), 6)) * path.rate
+        noise = rng.standard_normal((len(pose), 6)) * rate
         noise[:, 3:] /= LEVER_ARM
         return out, rates + noise
 
-    _, away = _perturbed(layout, path, moved)
-    noise = both(_lasting_rms(away), rate_noise(layout, path))
+    copies = [[moved(*one) for one in path.each] for _ in range(PERTURBED_COPIES)]
+    noise = both(_noise_by(layout, path, copies), rate_noise(layout, path))
     if not _interpolated(layout, path):
         return noise
-    return both(noise, _between_samples(layout, path))
+    straight = [
+        _displaced(p, -interpolation_error(r.record, path.source)[:, :3])
+        for r, p in zip(layout.runs, path.poses, strict=True)
+    ]
+    return both(noise, _noise_by(layout, path, [on_poses(layout, path, straight)]))
 
 
 def rate_noise(layout: DatasetLayout, path: Path) -> list[Array] | None:
@@ -102,61 +146,15 @@ def rate_noise(layout: DatasetLayout, path: Path) -> list[Array] | None:
     :meth:`WrenchLink.with_unknown_rate`. The error is alike over many rows, and counts like noise
     that is larger by the root of a block.
     """
-    if not differentiated(path) or not any(_reacts_sharply(r.scenario) for r in layout.runs):
+    if not path.differentiated or not any(_reacts_sharply(r.scenario) for r in layout.runs):
         return None
-    earlier = [np.concatenate([rates[:1], rates[:-1]]) for rates in path.rates or ()]
-    return [math.sqrt(BLOCK_ROWS) * m for m in _apart(layout, path, path.poses, earlier)]
-
-
-def differentiated(path: Path) -> bool:
-    """Whether rates are differences of poses, though A does not move uniformly in a tick."""
-    return path.rates is not None and not path.rates_measured
+    earlier = [(p, np.concatenate([r[:1], r[:-1]])) for p, r in path.each if r is not None]
+    return [math.sqrt(BLOCK_ROWS) * m for m in _noise_by(layout, path, [earlier])]
 
 
 def _reacts_sharply(scenario: Scenario) -> bool:
     """Whether a force depends on the rate by dry friction, or by parts that move."""
     return not sides_of(scenario.mechanism).rigid or scenario.mechanism.contact.friction > 0.0
-
-
-def both(noise: Sequence[Array], other: Sequence[Array] | None) -> list[Array]:
-    """Root of the sum of squares of two noises (N, 6) of each run; the second may be None."""
-    if other is None:
-        return list(noise)
-    return [np.hypot(a, b) for a, b in zip(noise, other, strict=True)]
-
-
-def _lasting_rms(away: Sequence[Sequence[Array]]) -> list[Array]:
-    """(N, 6) rms of the changes in copies of each run, smoothed over rows."""
-    squares = [np.mean(np.square(a), axis=0) for a in away]
-    return [np.sqrt(np.maximum(uniform_filter1d(s, SMOOTHING_ROWS, axis=0), 0.0)) for s in squares]
-
-
-def _perturbed(
-    layout: DatasetLayout,
-    path: Path,
-    moved: Callable[[Array, Array | None], tuple[Array, Array | None]],
-) -> tuple[WrenchLink, list[list[Array]]]:
-    """Contact and sensor on a path, and for each run the changes (N, 6) of its readings on copies
-    of the path, whose poses and rates ``moved`` gives.
-    """
-    runs = range(len(layout.runs))
-    link = wrench_link(layout, path.poses, layout.whole, None, path.rates)
-    copies = [
-        moved(path.poses[i], None if path.rates is None else path.rates[i])
-        for _ in range(PERTURBED_COPIES)
-        for i in runs
-    ]
-    rates = [r for _, r in copies if r is not None]
-    many = WrenchLink(
-        [link.runs[i] for _ in range(PERTURBED_COPIES) for i in runs],
-        [p for p, _ in copies],
-        None,
-        rates or None,
-    )
-    shown, found = link.shown_in_all(), many.shown_in_all()
-    return link, [
-        [found[n] - shown[i] for n in range(i, len(copies), len(layout.runs))] for i in runs
-    ]
 
 
 def diverged(layout: DatasetLayout, path: Path) -> list[np.ndarray]:
@@ -169,28 +167,18 @@ def diverged(layout: DatasetLayout, path: Path) -> list[np.ndarray]:
     rng = np.random.default_rng(1)
 
     def moved(pose: Array, rates: Array | None) -> tuple[Array, Array | None]:
-        if rates is not None:
-            return pose, rates + COPY_PERTURBATION * rng.standard_normal(rates.shape) * np.abs(
-                np.gradient(rates, axis=0)
-            )
-        out = pose.copy()
-        out[:, :3] += (
-            COPY_PERTURBATION
-            * rng.standard_normal((len(pose), 3))
-            * np.abs(np.gradient(np.gradient(pose[:, :3], axis=0), axis=0))
-        )
-        return out, None
+        by = np.gradient(pose[:, :3] if rates is None else rates, axis=0)
+        by = np.abs(np.gradient(by, axis=0) if rates is None else by)
+        error = COPY_PERTURBATION * rng.standard_normal(by.shape) * by
+        return (_displaced(pose, error), None) if rates is None else (pose, rates + error)
 
-    link, away = _perturbed(layout, path, moved)
-    level = np.maximum([layout.noise.get(c, 0.0) for c in link.channels], layout.least_force)
-    out = [
-        ~np.all([np.abs(d) <= DIVERGENCE_THRESHOLD * level for d in a], axis=(0, 2)) for a in away
-    ]
+    copies = [[moved(*one) for one in path.each] for _ in range(PERTURBED_COPIES)]
+    level = np.maximum(layout.level("wrench_meas"), layout.least_force)
+    found = changes(layout, path, copies)
+    out = [~np.all(np.abs(d) <= DIVERGENCE_THRESHOLD * level, axis=(0, 2)) for d in found]
     back = round(DIVERGED_TIME / layout.scales.tick)
-    return [
-        np.asarray(maximum_filter1d(o, back + SMOOTHING_ROWS, origin=(back - SMOOTHING_ROWS) // 2))
-        for o in out
-    ]
+    size, origin = back + SMOOTHING_ROWS, (back - SMOOTHING_ROWS) // 2
+    return [np.asarray(maximum_filter1d(o, size, origin=origin)) for o in out]
 
 
 def command_noise(layout: DatasetLayout, path: Path) -> list[Array] | None:
@@ -203,35 +191,18 @@ def command_noise(layout: DatasetLayout, path: Path) -> list[Array] | None:
     written = max(float(r.record.rounding(path.source)[:, :3].max()) for r in layout.runs)
     if not written and not _interpolated(layout, path):
         return rate_noise(layout, path)
-    return noise_of(
-        layout, replace(path, place=written, rate=math.sqrt(0.5) * written / layout.scales.tick)
-    )
+    return noise_of(layout, path, written, math.sqrt(0.5) * written / layout.scales.tick)
 
 
 def _interpolated(layout: DatasetLayout, path: Path) -> bool:
     """Whether a path lies between the rows of a log whose rows are not the ticks of the loop."""
-    return any(b.any() for b in interpolation_errors(layout.runs, path.source, layout.whole))
+    return any(interpolation_error(r.record, path.source).any() for r in layout.runs)
 
 
-def _between_samples(layout: DatasetLayout, path: Path) -> list[Array]:
-    """(N, 6) change of the readings of each run with linear interpolation between the samples."""
-    bends = interpolation_errors(layout.runs, path.source, layout.whole)
-    straight = [
-        np.column_stack([p[:, :3] - b[:, :3], p[:, 3:]])
-        for p, b in zip(path.poses, bends, strict=True)
-    ]
-    return _apart(layout, path, straight, path.rates and central_rates_of(layout, straight))
-
-
-def _apart(
-    layout: DatasetLayout, path: Path, poses: Sequence[Array], rates: Sequence[Array] | None
-) -> list[Array]:
-    """(N, 6) difference of the readings on a path and another, rms about each row."""
-    links = [
-        wrench_link(layout, p, layout.whole, None, r)
-        for p, r in ((path.poses, path.rates), (poses, rates))
-    ]
-    return rms_differences(*links)
+def on_poses(layout: DatasetLayout, path: Path, poses: Sequence[Array]) -> Copy:
+    """A path on other ``poses`` (N, 7), differentiated where the path has rates."""
+    rates = central_rates_of(layout, poses) if path.rates else None
+    return list(zip(poses, rates or [None] * len(poses), strict=True))
 
 
 def smoothed(values: Array) -> Array:
@@ -240,9 +211,9 @@ def smoothed(values: Array) -> Array:
 
 
 def smoothed_noise(layout: DatasetLayout, path: Path, commanded: bool) -> list[Array]:
-    """(N, 6) noise of the reading of each run due to a smoothed pose: to its noise, by replays of
-    perturbed copies, and to the bends of a ``commanded`` motion, which smoothing cuts off; a motion
-    that was only measured is taken as smooth.
+    """(N, 6) noise of the reading of each run due to a smoothed pose: to its noise, and to the
+    bends of a ``commanded`` motion, which smoothing cuts off; a motion that was only measured is
+    taken as smooth.
 
     Both errors are alike over the rows whose noise the filter averages, and count like noise that
     is larger by the root of their number.
@@ -252,21 +223,18 @@ def smoothed_noise(layout: DatasetLayout, path: Path, commanded: bool) -> list[A
 
     def moved(pose: Array, rates: Array | None) -> tuple[Array, Array | None]:
         error = smoothed(place * rng.standard_normal((len(pose), 3)))
-        return _displaced(pose, error), None if rates is None else _displaced(
-            rates, np.gradient(error, layout.scales.tick, axis=0)
-        )
+        slope = np.gradient(error, layout.scales.tick, axis=0)
+        return _displaced(pose, error), None if rates is None else _displaced(rates, slope)
 
-    _, away = _perturbed(layout, path, moved)
-    noise = _lasting_rms(away)
-    bends = (
-        [_cut_off(run, pose) for run, pose in zip(layout.runs, path.poses, strict=True)]
-        if commanded
-        else []
+    noise = _noise_by(
+        layout, path, [[moved(*one) for one in path.each] for _ in range(PERTURBED_COPIES)]
     )
-    if any(b.any() for b in bends):
-        bent = [_displaced(p, b) for p, b in zip(path.poses, bends, strict=True)]
-        missed = _apart(layout, path, bent, path.rates and central_rates_of(layout, bent))
-        noise = both(noise, missed)
+    if commanded:
+        pairs = zip(layout.runs, path.poses, strict=True)
+        bends = [_cut_off(run, pose) for run, pose in pairs]
+        if any(b.any() for b in bends):
+            bent = [_displaced(p, b) for p, b in zip(path.poses, bends, strict=True)]
+            noise = both(noise, _noise_by(layout, path, [on_poses(layout, path, bent)]))
     alike = 1.0 / float(np.sum(savgol_coeffs(SMOOTHING_ROWS, 3) ** 2))
     return both([math.sqrt(alike) * n for n in noise], rate_noise(layout, path))
 
@@ -289,11 +257,13 @@ def deflection_noise(layout: DatasetLayout, path: Path) -> list[Array]:
     of the drives, and so makes the rate uncertain as well.
     """
     assert layout.deflection is not None  # else the link is missing
-    off = [np.where(np.isfinite(found.doubt), found.doubt, 0.0) for found in layout.deflection]
-    poses = [poses_of(flat_pose(p) + d) for p, d in zip(path.poses, off, strict=True)]
-    bands = [2.0 * math.pi * nearest_bandwidth(r.scenario) for r in layout.runs]
-    rates = path.rates and [r + band * d for r, band, d in zip(path.rates, bands, off, strict=True)]
-    return _apart(layout, path, poses, rates)
+    copy = []
+    for run, found, (pose, rates) in zip(layout.runs, layout.deflection, path.each, strict=True):
+        off = np.where(np.isfinite(found.doubt), found.doubt, 0.0)
+        band = 2.0 * math.pi * nearest_bandwidth(run.scenario)
+        other = poses_of(flat_pose(pose) + off)
+        copy.append((other, None if rates is None else rates + band * off))
+    return _noise_by(layout, path, [copy])
 
 
 def misread(yielded: Sequence[Array], tick: float) -> list[list[Array]]:

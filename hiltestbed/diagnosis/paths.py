@@ -4,20 +4,25 @@ The measured pose is that path, and contains all that the platform did. Differen
 noise hides the force: 2 um at 1 kHz in a damper of 400 N s/m are 1 N. So where it adds more than a
 share of the force's own noise, the noise-free response of the explained platform to its command
 replaces it; where the platform is not explained, the measured pose is smoothed.
+
+What a description leaves open of how a facility computes its contact (where between tip and surface
+the force acts, whether a latch resists turning, how a mount is integrated) the data decide: with a
+wrong interpretation a search finds departures that are not there.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.explain import Explanation
 from hiltestbed.diagnosis.lacking import all_axes
-from hiltestbed.diagnosis.layout import DatasetLayout, platform_link, wrench_link
 from hiltestbed.diagnosis.links import WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.path_noise import (
@@ -26,7 +31,6 @@ from hiltestbed.diagnosis.path_noise import (
     central_rates_of,
     command_noise,
     deflection_noise,
-    differentiated,
     diverged,
     misread,
     moves_uniformly,
@@ -36,7 +40,7 @@ from hiltestbed.diagnosis.path_noise import (
     smoothed,
     smoothed_noise,
 )
-from hiltestbed.diagnosis.readings import choose_lever, choose_ring, choose_steps
+from hiltestbed.diagnosis.recorded import DatasetLayout, platform_link, wrench_link
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.settings import DETECTION, LEVER_ARM
 from hiltestbed.diagnosis.yielding import told_pose, yielded_under
@@ -48,71 +52,63 @@ from hiltestbed.signals import GROUPS
 
 # derived: share of the force noise that a measured path may add: half a percent of the noise
 MAX_PATH_NOISE = 0.1
-
 # chosen: of force and yielding in turn: with drives ten times as stiff as the contact, the noise
 # falls by 1000
 CONTACT_ROUNDS = 4
 # chosen: share of the rows in contact, on which perturbed copies of a path have to agree
 MIN_COMPARED = 0.05
+# derived: chi-square: choice between two equally likely interpretations
+INTERPRETATION_PENALTY = 2.0 * math.log(2.0)
+LEVERS = (0.5, 0.0, 1.0)  # chosen: that are tried first: the middle, the surface, the tip
 
 
-@dataclass(frozen=True)
-class BestPath:
-    """The path on which contact and sensor are replayed.
-
-    Attributes:
-        path_noise: (N, 6) of each run, noise of the reading that is due to the path; None: none.
-            jumps: (N,) of each run, distance by which a platform with stiction jumped [m] in the
-            tick that ends at each row; None: it has no stiction.
-    """
-
-    path: Path
-    path_noise: Sequence[Array] | None
-    jumps: Sequence[Array] | None
-
-
-def best_path(layout: DatasetLayout, platform: Explanation | None) -> BestPath:
+def best_path(layout: DatasetLayout, platform: Explanation | None) -> Path:
     """The path with the least noise that the data allow, with the poses as they are stamped."""
-    explained = platform is not None and platform.adequate
-    follows = all(follows_exactly(r.scenario) for r in layout.runs)
-    measured, path_noise = _least_noisy(layout, _measured(layout))
-    if (
-        measured is not None
-        and path_noise is not None
-        and not _replay_is_better(layout, measured, path_noise, explained)
-    ):
-        path, extra = measured, path_noise
-    elif platform is not None and platform.adequate:
-        poses = _explained(layout, platform)
-        rounding = [r.record.unsmoothed() for r in layout.runs]
-        path = Path(poses, central_rates_of(layout, poses), source="pose_cmd", rounding=rounding)
-        extra = command_noise(layout, path)
-        if not follows:
-            extra = both(deflection_noise(layout, path), extra)
-    else:
-        poses, flattened = _smooth_paths(layout, platform)
-        path = Path(
-            poses,
-            central_rates_of(layout, poses),
-            unknown=[[f] for f in flattened] if any(f.any() for f in flattened) else (),
-        )
-        noisy = platform is not None or any(r.record.has("pose_act") for r in layout.runs)
-        extra = smoothed_noise(layout, path, platform is not None) if noisy else None
-        if _only_commanded(layout):
-            assert layout.deflection is not None  # else the link is missing
-            path = replace(path, yielded=[found.yielded for found in layout.deflection])
-        if path.yielded and not follows:
-            extra = not_where_unsettled(
-                layout, both(deflection_noise(layout, path), rate_noise(layout, path))
-            )
-            path = _under_the_contact(layout, path, extra)
+    explained = platform if platform is not None and platform.adequate else None
+    path = _least_noisy(layout)
+    if path is None or _replay_is_better(layout, path, explained is not None):
+        if explained is not None:
+            path = _replayed(layout, explained)
+        else:
+            path = _smoothed(layout, platform)
     if not all(sides_of(r.scenario.mechanism).rigid for r in layout.runs):
-        extra = extra or [np.zeros((n, 6)) for n in layout.whole]
-        extra = [
-            np.where(parted[:, None], np.inf, e)
-            for parted, e in zip(diverged(layout, path), extra, strict=True)
-        ]
-    return BestPath(path, extra, _jumped(platform, path))
+        noise = path.noise or [np.zeros((n, 6)) for n in layout.whole]
+        pairs = zip(diverged(layout, path), noise, strict=True)
+        noise = [np.where(parted[:, None], np.inf, n) for parted, n in pairs]
+        path = replace(path, noise=noise)
+    if logged := layout.logged:  # a filter is known to about one order
+        readings = [r.record.filled("wrench_meas") for r in layout.runs]
+        missed = [logged.colour * logged.missed(r) for r in readings]
+        path = replace(path, noise=both(missed, path.noise))
+    sticks = explained is not None and "platform.friction" in explained.kinds
+    return replace(path, jumps=[_jumps(p) for p in path.poses] if sticks else None)
+
+
+def _replayed(layout: DatasetLayout, platform: Explanation) -> Path:
+    """What the explained platform reaches."""
+    poses = _explained(layout, platform)
+    rounding = [r.record.unsmoothed() for r in layout.runs]
+    path = Path(poses, central_rates_of(layout, poses), source="pose_cmd", rounding=rounding)
+    noise = command_noise(layout, path)
+    if not all(follows_exactly(r.scenario) for r in layout.runs):
+        noise = both(deflection_noise(layout, path), noise)
+    return replace(path, noise=noise)
+
+
+def _smoothed(layout: DatasetLayout, platform: Explanation | None) -> Path:
+    """The smoothed pose, or where only the command is on record what the drives make of it."""
+    poses, flattened = _smooth_paths(layout, platform)
+    unknown = [[f] for f in flattened] if any(f.any() for f in flattened) else ()
+    path = Path(poses, central_rates_of(layout, poses), unknown=unknown)
+    if platform is not None or any(r.record.has("pose_act") for r in layout.runs):
+        path = replace(path, noise=smoothed_noise(layout, path, platform is not None))
+    if all(r.record.has("pose_cmd") and not r.record.has("pose_act") for r in layout.runs):
+        assert layout.deflection is not None  # else the link is missing
+        path = replace(path, yielded=[found.yielded for found in layout.deflection])
+        if not all(follows_exactly(r.scenario) for r in layout.runs):
+            noise = both(deflection_noise(layout, path), rate_noise(layout, path))
+            path = _under_the_contact(layout, path, not_where_unsettled(layout, noise))
+    return path
 
 
 def _explained(layout: DatasetLayout, platform: Explanation) -> list[Array]:
@@ -121,13 +117,13 @@ def _explained(layout: DatasetLayout, platform: Explanation) -> list[Array]:
     return link.paths(platform.effects())
 
 
-def too_divergent(layout: DatasetLayout, best: BestPath) -> str | None:
+def too_divergent(layout: DatasetLayout, path: Path) -> str | None:
     """Why contact and sensor are not judged, where too few rows in contact can be compared."""
-    if best.path_noise is None:
+    if path.noise is None:
         return None
     inside = [
         np.asarray(np.isfinite(b).all(axis=1))[r.touching(len(b))]
-        for r, b in zip(layout.runs, best.path_noise, strict=True)
+        for r, b in zip(layout.runs, path.noise, strict=True)
     ]
     part = float(np.mean(np.concatenate(inside)))
     if part >= MIN_COMPARED:
@@ -138,49 +134,23 @@ def too_divergent(layout: DatasetLayout, best: BestPath) -> str | None:
     )
 
 
-def with_filter_error(layout: DatasetLayout, best: BestPath) -> BestPath:
-    """The same path with added noise for a logger's filter, which is known to about one order."""
-    if layout.logged is None:
-        return best
-    missed = [
-        layout.logged.colour * layout.logged.missed(r.record.filled("wrench_meas"))
-        for r in layout.runs
-    ]
-    return replace(best, path_noise=both(missed, best.path_noise))
-
-
-def _jumped(platform: Explanation | None, path: Path) -> list[Array] | None:
-    """`jumps` of :class:`BestPath`."""
-    sticks = platform is not None and platform.adequate and "platform.friction" in platform.kinds
-    return [_jumps(p) for p in path.poses] if sticks else None
-
-
-def make_wrench_link(layout: DatasetLayout, best: BestPath, rows: Sequence[int]) -> WrenchLink:
+def make_wrench_link(layout: DatasetLayout, path: Path, rows: Sequence[int]) -> WrenchLink:
     """Contact and sensor on a path."""
-    link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.path_noise)
-    link = link.through(layout.logged).with_rounding(best.path.rounding)
-    if differentiated(best.path) and best.jumps is None:
+    link = wrench_link(layout, path.poses, rows, path.jumps, path.rates, path.noise)
+    link = link.through(layout.logged).with_rounding(path.rounding)
+    if path.differentiated and path.jumps is None:
         link = link.with_unknown_rate()
-    if best.path.unknown:
-        link = link.with_unknown_paths(best.path.unknown)
-    if best.path.yielded:
-        return link.commanded(_followed(layout), best.path.yielded)
+    if path.unknown:
+        link = link.with_unknown_paths(path.unknown)
+    if path.yielded:
+        return link.commanded(_followed(layout), path.yielded)
     return link
 
 
-def _only_commanded(layout: DatasetLayout) -> bool:
-    """Whether only the command shows where A went."""
-    return all(r.record.has("pose_cmd") and not r.record.has("pose_act") for r in layout.runs)
-
-
-def _under_the_contact(
-    layout: DatasetLayout,
-    path: Path,
-    noise: Sequence[Array],
-) -> Path:
-    """A commanded ``path`` with its yielding to a force, and changes for a force misread: with the
-    force of the believed contact, where the readings then show no more than with the force of the
-    given path.
+def _under_the_contact(layout: DatasetLayout, path: Path, noise: Sequence[Array]) -> Path:
+    """A commanded ``path`` with its ``noise``, its yielding to a force, and changes for a force
+    misread: with the force of the believed contact, where the readings then show no more than with
+    the force of the given path.
 
     The noise of the recorded force is in a path that yields to it as well as in the readings, and
     what filters it would explain them. The force and the yielding to it are found in turn, which
@@ -188,26 +158,21 @@ def _under_the_contact(
     """
     assert layout.deflection is not None  # else the link is missing
     level, tick = layout.noise.get("wrench_meas.fz", 0.0), layout.scales.tick
-    out, tried, least = path, path, math.inf
+    out = tried = replace(path, noise=noise)
+    least = math.inf
     for _ in range(CONTACT_ROUNDS):
-        link = wrench_link(layout, tried.poses, layout.whole, None, tried.rates, noise).commanded(
-            _followed(layout), tried.yielded
-        )
+        link = wrench_link(layout, tried.poses, layout.whole, None, tried.rates, noise)
+        link = link.commanded(_followed(layout), tried.yielded)
         link = choose_steps(choose_ring(choose_lever(link)))
-        shown = link.shown_in_all()
-        again = [
-            yielded_under(*each, level)
-            for each in zip(layout.runs, layout.deflection, shown, strict=True)
-        ]
+        each = zip(layout.runs, layout.deflection, link.shown_in_all(), strict=True)
+        again = [yielded_under(*one, level) for one in each]
         tried = replace(tried, unknown=misread(again, tick))
         left = square(Residual(link.with_unknown_paths(tried.unknown))(()))
         if left > least + DETECTION:
             break
         out, least = tried, min(left, least)
-        poses = [
-            poses_of(flat_pose(p) + a - y)
-            for p, a, y in zip(tried.poses, again, tried.yielded, strict=True)
-        ]
+        pairs = zip(tried.poses, again, tried.yielded, strict=True)
+        poses = [poses_of(flat_pose(p) + a - y) for p, a, y in pairs]
         tried = replace(tried, poses=poses, rates=central_rates_of(layout, poses), yielded=again)
     return out
 
@@ -246,26 +211,19 @@ def _measured(layout: DatasetLayout) -> list[Path]:
     return out
 
 
-def _least_noisy(
-    layout: DatasetLayout, paths: Sequence[Path]
-) -> tuple[Path | None, list[Array] | None]:
-    """The first path whose noise is small, or else the one with the least; and its noise."""
-    best, least, noise = None, math.inf, None
-    for path in paths:
-        found = noise_of(layout, path)
-        ratio = _noise_ratio(layout, found)
-        if best is None or ratio < least:
-            best, least, noise = path, ratio, found
-        if least <= MAX_PATH_NOISE:
+def _least_noisy(layout: DatasetLayout) -> Path | None:
+    """The first measured path whose noise is small, or else the one with the least."""
+    tried: list[Path] = []
+    for path in _measured(layout):
+        tried.append(replace(path, noise=noise_of(layout, path, path.place, path.rate)))
+        if _noise_ratio(layout, tried[-1]) <= MAX_PATH_NOISE:
             break
-    return best, noise
+    return min(tried, key=lambda p: _noise_ratio(layout, p), default=None)
 
 
-def _replay_is_better(
-    layout: DatasetLayout, measured: Path, path_noise: Sequence[Array], explained: bool
-) -> bool:
+def _replay_is_better(layout: DatasetLayout, measured: Path, explained: bool) -> bool:
     """Whether the replayed platform, or the smoothed pose, has less noise than the measured."""
-    share = _noise_ratio(layout, path_noise)
+    share = _noise_ratio(layout, measured)
     if share < MAX_PATH_NOISE:
         return False
     # a simulated mechanism diverges at the smallest difference, on any path
@@ -274,9 +232,10 @@ def _replay_is_better(
     return max(d.noise for d in layout.deflection) < measured.place
 
 
-def _noise_ratio(layout: DatasetLayout, path_noise: Sequence[Array]) -> float:
+def _noise_ratio(layout: DatasetLayout, path: Path) -> float:
     """Noise due to the path over that of the force, rms in contact, on its largest force axis."""
-    inside = [b[r.touching(len(b)), :3] for r, b in zip(layout.runs, path_noise, strict=True)]
+    pairs = zip(layout.runs, path.noise or (), strict=True)
+    inside = [n[r.touching(len(n)), :3] for r, n in pairs]
     squares = np.mean(np.concatenate(inside) ** 2, axis=0)
     own = max(layout.noise.get("wrench_meas.fz", 0.0), layout.least_force)
     return float(np.sqrt(squares.max())) / own if np.isfinite(squares).all() else math.inf
@@ -284,8 +243,7 @@ def _noise_ratio(layout: DatasetLayout, path_noise: Sequence[Array]) -> float:
 
 def _finest(run: MeasuredRun, group: str) -> float:
     """Noise of a pose [m] or twist [m/s]: the largest of its axes, attitude times lever arm."""
-    values = run.record.filled(group)
-    levels = [finest_noise(values[:, j]) for j in range(values.shape[1])]
+    levels = [finest_noise(column) for column in run.record.filled(group).T]
     turned = 2.0 if group.startswith("pose") else 1.0
     return max([*levels[:3], *(turned * LEVER_ARM * v for v in levels[3:])])
 
@@ -304,9 +262,7 @@ def _smooth_paths(
 
     Axes that were not measured are those of the explanation, or were commanded.
     """
-    near = None
-    if platform is not None:
-        near = _explained(layout, platform)
+    near = None if platform is None else _explained(layout, platform)
     out, flattened = [], []
     for i, run in enumerate(layout.runs):
         told = told_pose(run) if run.record.has("pose_cmd") else None
@@ -318,7 +274,7 @@ def _smooth_paths(
             flattened.append(np.zeros_like(away))
             continue
         flat = flat_pose(run.record.filled("pose_act"))
-        about = near[i] if near is not None else told
+        about = told if near is None else near[i]
         centre, kept = np.zeros_like(flat), np.zeros(6, dtype=bool)
         if near is not None:
             centre[:, :3] = near[i][:, :3]
@@ -333,3 +289,45 @@ def _smooth_paths(
             pose[:, 3:] = about[:, 3:]
         out.append(pose)
     return out, flattened
+
+
+def choose_lever(link: WrenchLink) -> WrenchLink:
+    """The link with the lever that fits the torques best."""
+    if not link.acts_across():
+        return link
+
+    def cost(lever: float) -> float:
+        r = Residual(link.interpreted(lever=lever))(())
+        return float(np.sum(np.minimum(r * r, 100.0)))
+
+    costs = {lever: cost(lever) for lever in LEVERS}
+    best = min(costs, key=lambda key: costs[key])
+    found: Any = minimize_scalar(
+        cost,
+        bounds=(max(best - 0.5, 0.0), min(best + 0.5, 1.0)),
+        method="bounded",
+        options={"xatol": 0.01},
+    )
+    better = found.fun < costs[best] - INTERPRETATION_PENALTY
+    return link.interpreted(lever=float(found.x) if better else best)
+
+
+def choose_ring(link: WrenchLink) -> WrenchLink:
+    """The link with a latch that turns freely if the torques show that; else the latch is believed
+    to resist turning, which its stiffness does not state.
+    """
+    if not any(r.scenario.mechanism.captured for r in link.runs):
+        return link
+    free = link.interpreted(ring=0.0)
+    if square(Residual(free)(())) < square(Residual(link)(())) - INTERPRETATION_PENALTY:
+        return free
+    return link
+
+
+def choose_steps(link: WrenchLink) -> WrenchLink:
+    """The link with a mount stepped as by MuJoCo, or integrated exactly, whichever leaves less."""
+    if not link.stepped:
+        return link
+    exact = choose_lever(link.interpreted(exact=True))
+    better = square(Residual(exact)(())) < square(Residual(link)(())) - INTERPRETATION_PENALTY
+    return choose_lever(exact.with_unknown_steps()) if better else link

@@ -89,7 +89,6 @@ class Plan:
 
     @property
     def sentence(self) -> str:
-        """The plan in one or two sentences."""
         seen = [e for e in self.effects if e.smallest is not None]
         pairs = {frozenset((e.effect, o)) for e in seen for o in e.confused_with}
         runs = "One run" if len(self.runs) == 1 else f"{len(self.runs)} runs"
@@ -106,7 +105,6 @@ class Plan:
         return f"{text} One more run, {first.words}, would tell {apart}."
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
         return asdict(self) | {"sentence": self.sentence}
 
 

@@ -26,10 +26,10 @@ from hiltestbed.diagnosis.closed_loop import (
 )
 from hiltestbed.diagnosis.explain import Explanation, effects_of
 from hiltestbed.diagnosis.investigate import Findings
-from hiltestbed.diagnosis.layout import DatasetLayout
 from hiltestbed.diagnosis.link_model import LinkModel
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.plain import entry
+from hiltestbed.diagnosis.recorded import DatasetLayout
 from hiltestbed.diagnosis.settings import MODEL_ERROR
 from hiltestbed.diagnosis.timing import delays_not_causes
 from hiltestbed.effects.base import Effect
@@ -130,15 +130,11 @@ def _weighed(e: Explanation, loop: _Loop) -> tuple[Explanation, list[str]]:
             f"the rebound contradicts {' + '.join(e.kinds)}: with it the loop parts no nearer to "
             "the coefficient of restitution on record than without it"
         ]
-        more = [
-            f for f in e.conclusion.visited if f.causes and f.keys not in {g.keys for g in fits}
-        ]
+        tried = {f.keys for f in fits}
+        more = [f for f in e.conclusion.visited if f.causes and f.keys not in tried]
         more = [f for f in more if e.model.leaves_noise(f.left)][:MAX_TRIED]
-        kept = [
-            (f, x)
-            for f, x in zip([*fits, *more], [*apart, *loop.chi2(more)], strict=True)
-            if x <= limit
-        ]
+        pairs = zip([*fits, *more], [*apart, *loop.chi2(more)], strict=True)
+        kept = [(f, x) for f, x in pairs if x <= limit]
         if not kept:
             return replace(e, adequate=False), words
         fits, apart = [f for f, _ in kept], [x for _, x in kept]
@@ -147,9 +143,8 @@ def _weighed(e: Explanation, loop: _Loop) -> tuple[Explanation, list[str]]:
     least = min(apart)
     # something else in the loop spoils the comparison
     scale = max(1.0, least / max(1, sum(r is not None for r in loop.rebounds)))
-    total = {
-        f.keys: f.evidence - 0.5 * (x - least) / scale for f, x in zip(fits, apart, strict=True)
-    }
+    pairs = zip(fits, apart, strict=True)
+    total = {f.keys: f.evidence - 0.5 * (x - least) / scale for f, x in pairs}
     best = max(fits, key=lambda f: total[f.keys])
     if best.keys != e.fit.keys:
         found = Searched(e.likelihood, best, e.conclusion.visited, e.conclusion.null)
@@ -157,10 +152,8 @@ def _weighed(e: Explanation, loop: _Loop) -> tuple[Explanation, list[str]]:
     causes = tuple(_told_apart(c, total, total[best.keys]) for c in e.causes)
     decided = sum(len(c.others) for c in causes) < len(rivals) or best.keys != fits[0].keys
     if decided and not words:
-        each = ", ".join(
-            f"{' + '.join(x.kind for x in effects_of(f))} {x:.3g}"
-            for f, x in zip(fits, apart, strict=True)
-        )
+        kinds = [" + ".join(x.kind for x in effects_of(f)) for f in fits]
+        each = ", ".join(f"{k} {x:.3g}" for k, x in zip(kinds, apart, strict=True))
         words = [f"the rebound decides: chi-square of the coefficients of restitution {each}"]
     return replace(e, conclusion=replace(e.conclusion, causes=causes)), words
 
@@ -232,7 +225,6 @@ def speed_noise(scenario: Scenario, force: float, rows: float) -> float:
 
 
 def _others(explanations: Mapping[str, Explanation], name: str) -> list[Effect]:
-    """The causes on the other links."""
     known, shifts = set(explanations[name].kinds), delays_not_causes(explanations)
     return [
         effect
@@ -252,8 +244,8 @@ def _simulated(
     """(fits, runs) coefficients of restitution in closed loop; NaN where there is none."""
     out, lanes = np.full((len(fits), len(runs)), np.nan), []
     for n, f in enumerate(fits):
-        effects = [*effects_of(f), *beside]
         for i, (run, rebound) in enumerate(zip(runs, rebounds, strict=True)):
+            effects = [*effects_of(f), *beside]
             scenario = _extended(run.scenario, effects, rebound.rows) if rebound else None
             if scenario is not None:
                 lanes.append((n, i, scenario))

@@ -12,9 +12,13 @@ from hiltestbed.diagnosis.links import ModelLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.noise import softened
 from hiltestbed.diagnosis.nuisances import Aside
+from hiltestbed.diagnosis.settings import UNKNOWN
 from hiltestbed.frames import Array
 
-MAX_RESIDUAL = 1e6  # chosen: [sigma] stands for a prediction that is not finite
+
+def finite(residual: Array) -> Array:
+    """Clipped to UNKNOWN, which stands for what is no number."""
+    return np.clip(np.nan_to_num(residual, nan=UNKNOWN), -UNKNOWN, UNKNOWN)
 
 
 class Residual:
@@ -33,47 +37,46 @@ class Residual:
         self._aside: dict[int, Aside] = {}
 
     def on(self, runs: Sequence[int]) -> Residual:
-        """On a subset of the runs."""
         return Residual(self.link, runs)
 
     def by_run(self, hypotheses: Sequence[Effects]) -> list[list[Array]]:
-        """(N, C) for each hypothesis and run; clipped to MAX_RESIDUAL where a prediction is not
+        """(N, C) for each hypothesis and run; clipped to UNKNOWN where a prediction is not
         finite, so that misfits can be sorted.
         """
-        shown = self.link.predict([(i, effects) for effects in hypotheses for i in self.runs])
-        out, at = [], 0
-        for _ in hypotheses:
-            rows = []
-            for i in self.runs:
-                r = softened(self.left(i, shown[at]) * self.weight[i], self.link.runs[i].heavy)
-                rows.append(
-                    r
-                    if np.isfinite(r).all()
-                    else np.clip(np.nan_to_num(r, nan=MAX_RESIDUAL), -MAX_RESIDUAL, MAX_RESIDUAL)
-                )
-                at += 1
-            out.append(rows)
-        return out
+        shown = iter(self.link.predict([(i, effects) for effects in hypotheses for i in self.runs]))
+        return [[self._in_sigma(i, next(shown)) for i in self.runs] for _ in hypotheses]
+
+    def _in_sigma(self, i: int, shown: Array) -> Array:
+        r = softened(self.left(i, shown) * self.weight[i], self.link.runs[i].heavy)
+        return r if np.isfinite(r).all() else finite(r)
 
     def left(self, i: int, shown: Array) -> Array:
         """(N, C) of run i: measured less ``shown`` (N, C), whitened against its nuisance terms."""
-        run = self.link.runs[i]
-        left = run.measured - shown
-        if run.nuisances is None and run.shared is None:
-            return left
         if i not in self._aside:
-            self._aside[i] = Aside(self.weight[i], run.nuisances, run.shared)
+            self._aside[i] = Aside(self.weight[i], self.link.runs[i].terms)
+        left = self.link.runs[i].measured - shown
         return left - self._aside[i].of(left)
 
     def of_run(self, i: int, effects: Effects) -> Array:
         """(N, C) of run i."""
         return self.on([i]).by_run([effects])[0][0]
 
-    def compared(self, i: int, effects: Effects) -> Array:
-        """(M,) of run i, as its owner would compare them: in contact, where there is one."""
-        z, counts = self.of_run(i, effects), self.weight[i] > 0.0
+    def counted(self, i: int) -> np.ndarray:
+        """(N, C) bool: the samples of run i that its owner would compare: in contact, where there
+        is one.
+        """
+        counts = self.weight[i] > 0.0
         inside = counts & self.link.runs[i].touching[:, None]
-        return np.asarray(z[inside if inside.any() else counts])
+        return inside if inside.any() else counts
+
+    def compared(self, i: int, effects: Effects) -> Array:
+        """(M,) of run i, as its owner would compare them."""
+        return np.asarray(self.of_run(i, effects)[self.counted(i)])
+
+    def mean_square(self, i: int, effects: Effects) -> float:
+        """Of run i: in contact, where there is one."""
+        z = self.compared(i, effects)
+        return float(np.mean(z**2)) if len(z) else 0.0
 
     def many(self, hypotheses: Sequence[Effects]) -> Array:
         """(H, M) of all runs, one hypothesis a row."""
@@ -87,5 +90,4 @@ class Residual:
 
 
 def square(r: Array) -> float:
-    """Sum of squares."""
     return float(np.einsum("m,m->", r, r))

@@ -1,11 +1,11 @@
-"""The result of a diagnosis: the contents of diagnosis.json, as plain records.
-
-`Finding` is what the stage "decide" gives.
+"""The result of a diagnosis, as plain records: what the stage "decide" finds (`Finding`), and what
+the report derives from it (`Conclusion`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from hiltestbed.diagnosis.certainty import Certainty
     from hiltestbed.diagnosis.explain import OpenPair
     from hiltestbed.diagnosis.timing import ClockOffset
+    from hiltestbed.measured import MeasuredDataset
+    from hiltestbed.scenario import Scenario
+    from hiltestbed.signals import RunTrace
 
-VERDICTS = ("no_discrepancy", "named", "ambiguous", "named_in_part", "unknown", "inconclusive")
-LINKS = ("platform", "contact", "sensor", "compensation", "dynamics", "log")
+RESAMPLES = 2000  # draws of the bootstrap over runs: its ends are known to a percent of its width
 Interval = tuple[float | None, float | None]
 
 
@@ -34,18 +36,26 @@ class Parameter:
     ci95: Interval | tuple[Interval, ...] | None
     unit: str = ""
 
-    def text(self) -> str:
-        """The estimate with its interval, where it is one number."""
-        interval = self.ci95
-        if (
-            not isinstance(self.estimate, float)
-            or not interval
-            or isinstance(interval[0], tuple)
-            or isinstance(interval[1], tuple)
-        ):
-            return str(self.estimate)
-        ends = ", ".join("open" if end is None else f"{end:.4g}" for end in interval)
-        return f"{self.estimate:.4g} ({ends})"
+    def in_words(self) -> str:
+        """`0.003300 (0.003294 to 0.003307) s`: with as many digits as the interval supports."""
+        unit = "" if self.unit == "-" else f" {self.unit}"
+        if isinstance(self.estimate, str):
+            return self.estimate
+        if isinstance(self.estimate, tuple):
+            ends = self.ci95 or (None,) * len(self.estimate)
+            each = (_with_interval(v, e) for v, e in zip(self.estimate, ends, strict=True))
+            return f"[{', '.join(each)}]{unit}"
+        return _with_interval(self.estimate, self.ci95) + unit
+
+
+def _with_interval(value: float, ends: Any) -> str:
+    if ends is None or None in ends or ends[0] == ends[1]:
+        return f"{value:.4g}"
+    size, width = max(abs(value), abs(ends[0]), abs(ends[1])), ends[1] - ends[0]
+    digits = 4
+    if size > 0 and width > 0:
+        digits = min(8, max(2, 2 + math.floor(math.log10(size)) - math.floor(math.log10(width))))
+    return f"{value:.{digits}g} ({ends[0]:.{digits}g} to {ends[1]:.{digits}g})"
 
 
 @dataclass(frozen=True)
@@ -67,13 +77,11 @@ class Cause:
     alternatives: tuple[tuple[Mapping[str, Any], ...], ...] = ()
 
     def entry(self) -> dict[str, Any]:
-        """As it stands under `effects:` in a scenario."""
         return {"kind": self.effect} | {
             name: plain(p.estimate) for name, p in self.parameters.items()
         }
 
     def to_json(self) -> dict[str, Any]:
-        """As it stands in diagnosis.json."""
         return {
             "effect": self.effect,
             "parameters": {name: vars(p) for name, p in self.parameters.items()},
@@ -128,13 +136,40 @@ class Heldout:
     placebo_reduction: float
     per_run: Mapping[int, tuple[float, float]] = field(default_factory=dict)
 
+    @classmethod
+    def of(
+        cls,
+        runs: Sequence[int],
+        before: Mapping[int, float],
+        after: Mapping[int, float],
+        wrong: Mapping[int, float],
+    ) -> Heldout:
+        """From the mean squares of each run, nominal, with the causes and with the placebo; the
+        interval by bootstrap over runs.
+        """
+        a, b, w = (np.array([x[i] for i in runs]) for x in (before, after, wrong))
+        draws = np.random.default_rng(0).integers(0, len(runs), (RESAMPLES, len(runs)))
+        gains = 1.0 - np.sqrt(b[draws].sum(axis=1) / a[draws].sum(axis=1))
+        low, high = (float(x) for x in np.percentile(gains, [2.5, 97.5]))
+        rms_a, rms_b, rms_w = (float(np.sqrt(np.mean(x))) for x in (a, b, w))
+        per_run = {i: (float(np.sqrt(before[i])), float(np.sqrt(after[i]))) for i in runs}
+        gain, placebo = 1.0 - rms_b / rms_a, 1.0 - rms_w / rms_a
+        return cls(tuple(runs), rms_a, rms_b, gain, (low, high), placebo, per_run)
+
+    def in_words(self) -> str:
+        """`12.0 % (95 % interval 8.0 to 14.0 %), from 3.1 to 2.7 times the noise`."""
+        gain, low, high = (100.0 * v for v in (self.reduction, *self.ci95))
+        return (
+            f"{gain:.1f} % (95 % interval {low:.1f} to {high:.1f} %), from {self.rms_before:.3g} "
+            f"to {self.rms_after:.3g} times the noise"
+        )
+
     @property
     def significant(self) -> bool:
         """Whether the interval excludes zero gain, and the gain exceeds the placebo's."""
         return self.ci95[0] > 0.0 and self.reduction > self.placebo_reduction
 
     def to_json(self) -> dict[str, Any]:
-        """Its figures, and those of each run in a list."""
         rows = [{"run": run, "before": a, "after": b} for run, (a, b) in self.per_run.items()]
         return vars(self) | {"per_run": rows, "significant": self.significant}
 
@@ -180,7 +215,6 @@ class Learned:
     curves: tuple[LearnedCurve, ...] = ()
 
     def entry(self) -> dict[str, Any]:
-        """As it stands under `effects:` in a scenario."""
         return {"kind": self.effect, **self.parameters}
 
     def to_json(self) -> dict[str, Any]:
@@ -206,14 +240,11 @@ class Figures:
     cannot be estimated.
 
     Attributes:
-        cor: rebound speed / approach speed. peak_force [N]: largest reading along z. stiffness
-            [N/m], damping [N s/m]: least squares of the reading on pose and rate in contact.
+        cor: rebound speed / approach speed. peak_force [N]: largest reading along z.
     """
 
     cor: float | None = None
     peak_force: float | None = None
-    stiffness: float | None = None
-    damping: float | None = None
 
 
 @dataclass(frozen=True)
@@ -226,21 +257,19 @@ class ClosedLoop:
     extended: tuple[Figures, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """`cor_measured` and so on, each a list over the runs."""
-        out: dict[str, Any] = {"runs": list(self.runs)}
-        for name in ("cor", "peak_force", "stiffness", "damping"):
-            for source in ("measured", "nominal", "extended"):
-                label = name if name in ("cor", "peak_force") else f"identified_{name}"
-                out[f"{label}_{source}"] = [getattr(f, name) for f in getattr(self, source)]
-        return out
+        sources = ("measured", "nominal", "extended")
+        return {"runs": list(self.runs)} | {
+            f"{name}_{source}": [getattr(f, name) for f in getattr(self, source)]
+            for name in ("cor", "peak_force")
+            for source in sources
+        }
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A run that would settle what is open: the effects it separates, and the keys of each run."""
+    """A run that would settle what is open, in words, and the keys of each run."""
 
     text: str
-    separates: tuple[str, ...] = ()
     runs: tuple[Mapping[str, Any], ...] = ()
 
 
@@ -347,12 +376,10 @@ class Finding:
 
     @property
     def learns(self) -> bool:
-        """Whether a learned law extends the model."""
         return self.learned is not None and self.learned.carries_over
 
     @property
     def extends(self) -> bool:
-        """Whether the model is extended."""
         return self.names or self.learns
 
     @property
@@ -361,3 +388,63 @@ class Finding:
         if self.learned is not None and self.learns:
             return (*self.causes, self.learned)
         return self.causes if self.names else ()
+
+
+@dataclass(frozen=True)
+class SimulatedRun:
+    """One run, simulated: the nominal and the extended trace, None where it could not be run."""
+
+    run: int
+    nominal: RunTrace | None
+    extended: RunTrace | None
+
+
+@dataclass
+class Conclusion:
+    """A finding and what follows from it.
+
+    Attributes:
+        dataset, extended: the data, and the scenario with the named effects (the nominal one where
+            nothing was named). simulated: the simulations of each run.
+    """
+
+    name: str
+    finding: Finding
+    residuals: tuple[ChannelResidual, ...]
+    closed_loop: ClosedLoop
+    experiment: Experiment | None
+    extended: Scenario
+    dataset: MeasuredDataset
+    simulated: tuple[SimulatedRun, ...]
+    remarks: tuple[str, ...] = ()
+    overridden: tuple[str, ...] = ()  # a sentence on each check that the dataset overrides
+    seconds: float | None = None
+
+    @property
+    def verdict(self) -> str:
+        return self.finding.verdict
+
+    @property
+    def link(self) -> str | None:
+        return self.finding.link
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        return self.finding.causes
+
+    @property
+    def heldout(self) -> Heldout | None:
+        return self.finding.heldout
+
+    @property
+    def compared(self) -> str:
+        """Name of the `extended` prediction of the series: the extended model, the best explanation
+        that is not adequate, or none.
+        """
+        if self.finding.extends:
+            return "extended"
+        return "best explanation" if self.finding.partial else ""
+
+    @property
+    def next_experiment(self) -> str | None:
+        return self.experiment.text if self.experiment else None

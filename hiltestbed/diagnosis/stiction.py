@@ -25,15 +25,12 @@ from scipy.stats import median_abs_deviation
 from hiltestbed.diagnosis.links import PlatformLink, Timing
 from hiltestbed.diagnosis.links.base import padded
 from hiltestbed.diagnosis.residual import square
-from hiltestbed.diagnosis.settings import MIN_POSE_NOISE
+from hiltestbed.diagnosis.settings import MIN_DEPARTURE, MIN_POSE_NOISE, SIGNIFICANCE_SIGMA
 from hiltestbed.frames import Array
 from hiltestbed.measured.noise import MAD_TO_SIGMA
 from hiltestbed.replay.stiction import Followed, Obeying, all_paths
 
 DEPARTURE_SIGMA = 6.0  # chosen: times the noise: a departure that may be a stick
-# chosen: of the departures, over the noise's: a stick of s adds some (s/sigma)^2 / 3; the noise is
-# known to a fifth
-MIN_MEAN_SQUARE = 1.5
 INSTANTS = range(2, 201)  # a tick
 # chosen: rows and jumps that are replayed in a scan: some two seconds; the best are followed first
 SCAN_BUDGET = 1e8
@@ -64,9 +61,6 @@ MAX_STARTS, MAX_INSTANTS = 4, 2
 PHASE_SIGMA, MAX_PHASES = 0.3, 100
 # chosen: of the noise by third differences of an axis that jumps; ten times was seen
 MAX_OVERESTIMATE = 20.0
-JUMP_SIGMA = 4.0  # chosen: times the noise: a jump between two rows
-# chosen: times the noise: travel of the command in a row, of which the instant of a jump is taken
-RATE_SIGMA = 2.0 * JUMP_SIGMA
 LATEST = 2.5  # ticks: by which a pose may be stamped early or late, and more than that
 # chosen: ticks; steps to either side, among which the best fit is sought last
 LATE_STEP, LATE_STEPS, LATE_HALVINGS = 0.01, 8, 3
@@ -245,9 +239,7 @@ class Data:
         alone = (departed - self.noise > DEPARTURE_SIGMA * self.noise) & (
             departed > DEPARTURE_SIGMA * sigma
         )
-        return (
-            bool(alone.any()) or square(departed / sigma) / max(1, len(departed)) > MIN_MEAN_SQUARE
-        )
+        return bool(alone.any()) or square(departed / sigma) / max(1, len(departed)) > MIN_DEPARTURE
 
     def late(self) -> float | None:
         """Ticks by which the pose follows the command late, from the rows between which an axis
@@ -271,7 +263,7 @@ class Data:
         command = np.concatenate(
             [self.start[r, axis, None], self.commands[r, : self.rows[r] - 1, axis]]
         )
-        ends = np.flatnonzero(np.abs(np.diff(goal)) > JUMP_SIGMA * self.noise)
+        ends = np.flatnonzero(np.abs(np.diff(goal)) > SIGNIFICANCE_SIGMA * self.noise)
         first, last = np.r_[0, ends + 1], np.r_[ends, len(goal) - 1]
         held = np.flatnonzero(last > first)
         for before, after in itertools.pairwise(held):
@@ -284,7 +276,8 @@ class Data:
             if (
                 after - before > 2
                 or len(passes) != 1
-                or abs(away[passes[0] + 1] - away[passes[0]]) < RATE_SIGMA * self.noise
+                or abs(away[passes[0] + 1] - away[passes[0]])
+                < 2.0 * SIGNIFICANCE_SIGMA * self.noise
             ):
                 continue
             k = passes[0]

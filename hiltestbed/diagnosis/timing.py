@@ -18,9 +18,10 @@ from hiltestbed.analysis.ledger import contact_frequency
 from hiltestbed.diagnosis.explain import Explanation
 from hiltestbed.diagnosis.link_model import LATEST_INSTANT
 from hiltestbed.diagnosis.links.base import NO_SHIFT
-from hiltestbed.diagnosis.settings import MAX_UNNAMED_DELAY_ROWS
 from hiltestbed.effects.base import Effect
 
+# chosen: [rows] two instants, each up to half a tick off, and the error due to noise
+MAX_UNNAMED_DELAY_ROWS = 1.05
 # [rows] by which a link is early, beyond the error of its fit: its input is stamped late
 HIDDEN_ROWS = 0.05
 STEP_DELAY = "dynamics.step_delay"
@@ -83,10 +84,8 @@ def delays_not_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict
             alike = [o for f in rivals for o in f.of.each() if o.kind not in e.kinds]
             for delay in (effect, *alike):
                 rows = _delay_rows(delay, e.link.tick)
-                ticks = delay.kind in TICK_EFFECTS
-                if rows is not None and rows <= (
-                    whole if ticks else taken_back + MAX_UNNAMED_DELAY_ROWS
-                ):
+                most = whole if delay.kind in TICK_EFFECTS else taken_back + MAX_UNNAMED_DELAY_ROWS
+                if rows is not None and rows <= most:
                     out.setdefault(name, {})[effect.kind] = rows
     return out
 
@@ -122,34 +121,26 @@ class ClockOffset:
     cor_log_error: float
 
     def sentence(self) -> str:
-        """In words, with its price."""
         when = f"{abs(self.rows):.2g} rows ({abs(self.delay):.3g} s)"
         way = "late" if self.rows > 0.0 else "early"
-        if self.effect is None:
-            text = f"{self.output} is {when} {way} relative to {self.given}: "
-            why = "attributed to the timing of the facility, not to a cause"
-        else:
+        text = f"{self.output} is {when} {way} relative to {self.given}: "
+        also = ""
+        if self.effect is not None:
             text = f"{self.output} is {when} later than {self.given} predicts ({self.effect}): "
-            why = (
-                "attributed to the timing of the facility, not to a cause, since something else "
-                "departs as well"
-            )
+            also = ", since something else departs as well"
         price = 100.0 * math.expm1(self.cor_log_error)
         return (
-            f"{text}{why}; if the loop itself is as {way}, and not the record alone, it changes "
-            f"the coefficient of restitution by {price:+.2g} %"
+            f"{text}attributed to the timing of the facility, not to a cause{also}; if the loop "
+            f"itself is as {way}, and not the record alone, it changes the coefficient of "
+            f"restitution by {price:+.2g} %"
         )
 
 
 def clock_offsets(explanations: Mapping[str, Explanation]) -> tuple[ClockOffset, ...]:
     """What is attributed to the timing of the facility."""
     found = [(n, shift_rows(e), None) for n, e in explanations.items() if _off(e)]
-    found += [
-        (name, rows, kind)
-        for name, clocks in delays_not_causes(explanations).items()
-        for kind, rows in clocks.items()
-        if rows > 0.0
-    ]
+    for name, clocks in delays_not_causes(explanations).items():
+        found += [(name, rows, kind) for kind, rows in clocks.items() if rows > 0.0]
     out = []
     for name, rows, kind in found:
         scenario = explanations[name].link.runs[0].scenario

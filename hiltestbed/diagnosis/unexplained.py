@@ -7,13 +7,13 @@ from __future__ import annotations
 import numpy as np
 
 from hiltestbed.diagnosis.explain import Explanation, effects_of
+from hiltestbed.diagnosis.link_model import NOTHING
 from hiltestbed.diagnosis.links import PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.plain import listed
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.frames import Array
-from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
-from hiltestbed.inference.model import Hypothesis
+from hiltestbed.inference.likelihood import PosteriorFit
 from hiltestbed.inference.residuals import range_of_half
 from hiltestbed.inference.search import extended
 
@@ -22,7 +22,6 @@ MIN_CORRELATION = 0.6  # chosen: from which a quantity is named
 
 
 def describe(explanation: Explanation, name: str) -> str:
-    """A sentence on the residual of the chosen explanation."""
     residual, effects = explanation.residual(), explanation.effects()
     link, leftovers = residual.link, explanation.leftovers()
     channel = max(leftovers, key=lambda c: leftovers[c].excess)
@@ -67,16 +66,15 @@ def _phases(residual: Residual, effects: Effects, column: int) -> dict[str, floa
     parts: dict[str, list[Array]] = {name: [] for name in names}
     for i in residual.runs:
         z, run = residual.of_run(i, effects)[:, column], residual.link.runs[i]
-        touched = np.logical_or.accumulate(run.touching)
-        parts["before the touch"].append(z[~touched])
-        parts["after the contact"].append(z[touched & ~run.touching])
-        inside = np.flatnonzero(run.touching)
+        inside, touched = np.flatnonzero(run.touching), np.logical_or.accumulate(run.touching)
+        split = [z[~touched], z[:0], z[:0], z[touched & ~run.touching]]
         if len(inside):
             force = np.abs(run.measured[:, min(2, run.measured.shape[1] - 1)])
             top = inside[int(np.argmax(force[inside]))]
-            parts["while loading"].append(z[inside[inside <= top]])
-            parts["while unloading"].append(z[inside[inside > top]])
-    joined = {phase: np.concatenate(z) for phase, z in parts.items() if z}
+            split[1:3] = z[inside[inside <= top]], z[inside[inside > top]]
+        for name, own in zip(names, split, strict=True):
+            parts[name].append(own)
+    joined = {phase: np.concatenate(z) for phase, z in parts.items()}
     return {phase: float(np.sqrt(np.mean(z * z))) for phase, z in joined.items() if len(z)}
 
 
@@ -86,17 +84,12 @@ def _shape(residual: Residual, effects: Effects, column: int) -> str:
     paths = link.commands if isinstance(link, PlatformLink) else paths
     left, columns, quantities = [], [], {}
     for i in residual.runs:
-        run = link.runs[i]
-        z = np.convolve(
-            residual.of_run(i, effects)[:, column], np.ones(SHAPE_ROWS) / SHAPE_ROWS, "same"
-        )
+        run, window = link.runs[i], np.ones(SHAPE_ROWS) / SHAPE_ROWS
+        z = np.convolve(residual.of_run(i, effects)[:, column], window, "same")
         depth = paths[i][:, 2] if paths is not None else np.zeros(len(z))
         rate = np.gradient(depth, run.scenario.tick)
-        force = link.shown(i, effects)[:, min(2, len(link.channels) - 1)]
-        t = np.arange(len(z)) * run.scenario.tick
         inside = run.touching if run.touching.any() else np.ones(len(z), dtype=bool)
-        start = t[inside][0]
-        left.append(z[inside])
+        t = np.arange(len(z)) * run.scenario.tick
         quantities = {
             "the penetration": depth,
             "its rate": rate,
@@ -104,9 +97,10 @@ def _shape(residual: Residual, effects: Effects, column: int) -> str:
             "penetration, with the sign of the rate": np.abs(depth) * np.sign(rate),
             "the sign of the rate": np.sign(rate),
             "the cube of the penetration": depth**3,
-            "the force": force,
-            "the time in contact": t - start,
+            "the force": link.shown(i, effects)[:, min(2, len(link.channels) - 1)],
+            "the time in contact": t - t[inside][0],
         }
+        left.append(z[inside])
         columns.append(np.column_stack(list(quantities.values()))[inside])
     y, x, names = np.concatenate(left), np.concatenate(columns), list(quantities)
     if len(y) < 20 or np.std(y) == 0:
@@ -126,10 +120,10 @@ def contradiction(found: Explanation) -> str:
     if count < 2:
         return ""
     for known in _single_causes(found):
-        alone = [_alone(found, known, n) for n in range(count)]
-        each = [f for f in alone if f is not None]
-        if len(each) < count:
+        alone = [found.alone(n, known) for n in range(count)]
+        if not all(model.leaves_noise(f.left) for model, f in alone):
             continue
+        each = [f for _, f in alone]
         joint = found.likelihood.fit(known.causes, [known.of.theta])
         if sum(f.evidence for f in each) > joint.evidence:
             sizes = ", ".join(
@@ -149,19 +143,10 @@ def _single_causes(found: Explanation) -> list[PosteriorFit]:
     explain nothing of all together, as sizes on both sides of the nominal one do.
     """
     models = [found.model.on([n]) for n in range(len(found.model.members))]
-    nothing = Hypothesis((), np.zeros(0), np.zeros(0))
-    worst = max(models, key=lambda model: model.excess(model.residuals(nothing)))
-    here = Likelihood(worst, independent(worst.residuals(nothing), noise_known=True))
+    worst = max(models, key=lambda model: model.excess(model.residuals(NOTHING)))
+    here = worst.likelihood()
     out = {effects_of(f)[0].kind: f for f in found.singles()}
     for fit in extended(here, here.start(), found.candidates):
         if len(effects := effects_of(fit)) == 1:
             out.setdefault(effects[0].kind, fit)
     return list(out.values())
-
-
-def _alone(found: Explanation, known: PosteriorFit, n: int) -> PosteriorFit | None:
-    """The fit of one cause to a run alone; None where it leaves more than noise."""
-    model = found.model.on([n])
-    likelihood = Likelihood(model, independent(model.residuals(known.of), noise_known=True))
-    fit = likelihood.fit(known.causes, [known.of.theta])
-    return fit if model.leaves_noise(fit.left) else None

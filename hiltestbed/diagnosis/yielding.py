@@ -29,7 +29,6 @@ from hiltestbed.replay import (
 )
 from hiltestbed.replay.compensation import central_rates
 from hiltestbed.replay.wrench import shifted
-from hiltestbed.scenario import Scenario
 
 # chosen: of the deflection, due to a wrong reading of the force: the largest gain error that goes
 # unnoticed here
@@ -58,23 +57,20 @@ class Deflection:
     noise: float = 0.0
 
 
-def deflection(
-    run: MeasuredRun, noise: float, reading: Array | None = None, engaged: Engaged | None = None
-) -> Deflection | None:
+def deflection(run: MeasuredRun, noise: float, engaged: Engaged | None = None) -> Deflection | None:
     """Deflection of the believed rig from its command in one run; None where it cannot follow the
     command.
 
     Its error has one sign over whole blocks of rows, and counts like white noise that is larger by
-    the root of a block. noise: [N] of the force. reading: (N, 6) of the believed sensor; None: the
-    record. It is shifted earlier by the believed delay of the sensor; where an axis of it that acts
-    was not measured, the pose is not compared once A has reached P. engaged: see
-    :func:`engagement`.
+    the root of a block. noise: [N] of the force, which is on record later by the believed delay of
+    the sensor; where an axis of it that acts was not measured, the pose is not compared once A has
+    reached P. engaged: see :func:`engagement`.
     """
     scenario = run.scenario
     if follows_exactly(scenario):
         nothing = np.zeros((run.record.ticks, 6))
         return Deflection(nothing, nothing, nothing)
-    touching, wrench = _load(run, _recorded(run) if reading is None else reading, noise, engaged)
+    touching, wrench = _load(run, _recorded(run), noise, engaged)
     told, taken = flat_pose(told_pose(run)), 0.0 if engaged is None else engaged.taken
     path = _replayed(run, borne(scenario, wrench) + taken)
     if path is None:
@@ -86,16 +82,14 @@ def deflection(
     unloaded = _replayed(run, borne(scenario, np.zeros_like(wrench)))
     # the rest is the response to the command, which is known
     yielded = away if unloaded is None else path - unloaded
-    off = [
-        np.abs(shifted(yielded, way * MAX_READING_SHIFT / scenario.tick) - yielded)
-        for way in (-1.0, 1.0)
-    ]
-    doubt = math.sqrt(BLOCK_ROWS) * np.sqrt(
-        (MAX_GAIN_ERROR * yielded) ** 2
-        + np.maximum(*off) ** 2
-        + (UNREPLAYED_SHARE * departure) ** 2
-    )
-    doubt[: math.ceil(_settling(scenario) / scenario.tick)] = np.inf
+    rows = MAX_READING_SHIFT / scenario.tick
+    off = np.maximum(*(np.abs(shifted(yielded, way * rows) - yielded) for way in (-1.0, 1.0)))
+    parts = (MAX_GAIN_ERROR * yielded, off, UNREPLAYED_SHARE * departure + np.zeros_like(off))
+    alike = math.sqrt(BLOCK_ROWS)
+    doubt = alike * np.sqrt(np.sum(np.square(parts), axis=0))
+    band = nearest_bandwidth(scenario)
+    settling = SETTLING_CONSTANTS / (2.0 * math.pi * band)
+    doubt[: math.ceil(settling / scenario.tick)] = np.inf
     if not all_axes(run, "wrench_meas"):
         doubt[np.maximum.accumulate(told[:, 2] > -departure[2])] = np.inf
     # sliding parts reverse within a tick; stiction of the drives retains the effect
@@ -103,16 +97,16 @@ def deflection(
         chattering = _replayed(run, borne(scenario, wrench) + taken, engaged.between)
         if chattering is not None:
             kept = np.maximum.accumulate(np.abs(chattering - path), axis=0)
-            doubt = np.hypot(doubt, math.sqrt(BLOCK_ROWS) * kept)
-    passed = np.zeros(6)
-    if noise > 0.0:
-        shaken = wrench.copy()
-        shaken[:, :3] += np.where(
-            touching, noise * np.random.default_rng(0).standard_normal((len(wrench), 3)), 0.0
-        )
-        noisy = _replayed(run, borne(scenario, shaken) + taken)
-        passed = np.std(noisy - path, axis=0) if noisy is not None else passed
-        doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, _memory(scenario) / scenario.tick)))
+            doubt = np.hypot(doubt, alike * kept)
+    if noise <= 0.0:
+        return Deflection(away, yielded, doubt)
+    shaken = wrench.copy()
+    error = noise * np.random.default_rng(0).standard_normal((len(wrench), 3))
+    shaken[:, :3] += np.where(touching, error, 0.0)
+    noisy = _replayed(run, borne(scenario, shaken) + taken)
+    passed = np.zeros(6) if noisy is None else np.std(noisy - path, axis=0)
+    # it is correlated for as long as the drives remember
+    doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, 1.0 / band / scenario.tick)))
     return Deflection(away, yielded, doubt, float(passed[:3].max()))
 
 
@@ -172,40 +166,23 @@ def engagement(run: MeasuredRun) -> Engaged | None:
     """The action of the contact along the pose on record, where only playing the mechanism gives
     it; None where it follows from the pose, or where no such mechanism can have taken that path.
     """
-    if sides_of(run.scenario.mechanism).rigid or not can_carry(run.scenario):
+    scenario, record = run.scenario, run.record
+    if sides_of(scenario.mechanism).rigid or not can_carry(scenario):
         return None
-    path = np.ascontiguousarray(run.record.filled("pose_act"))
-    rates = (
-        run.record.filled("twist_act")
-        if run.record.whole("twist_act")
-        else central_rates(run.scenario, path)
-    )
-    found = Simulated(
-        [run.scenario],
-        path[None],
-        None if moves_linearly(run.scenario) else np.ascontiguousarray(rates)[None],
-    ).believed(0)
+    path, rates = np.ascontiguousarray(record.filled("pose_act")), None
+    if not moves_linearly(scenario):
+        whole = record.whole("twist_act")
+        rates = record.filled("twist_act") if whole else central_rates(scenario, path)
+        rates = np.ascontiguousarray(rates)[None]
+    found = Simulated([scenario], path[None], rates).believed(0)
     return found if np.isfinite(found.taken).all() and np.isfinite(found.wrench).all() else None
 
 
 def _noiseless_pose(run: MeasuredRun) -> Array | None:
     """(N, 7) the pose that a motion compensation was given, where the record has no noise."""
-    record = run.record
+    record, noise = run.record, run.survey.noise
     if "pose" not in run.scenario.compensation.motion.reads or not record.whole("pose_act"):
         return None
-    noisy = max(
-        run.survey.noise[f"pose_act.{axis}"].white
-        for axis in ("px", "py", "pz")
-        if f"pose_act.{axis}" in run.survey.noise
-    )
+    places = (f"pose_act.{axis}" for axis in ("px", "py", "pz"))
+    noisy = max(noise[name].white for name in places if name in noise)
     return record.filled("pose_act") if noisy <= NOISELESS_POSE else None
-
-
-def _memory(scenario: Scenario) -> float:
-    """[s] correlation time of a deflection's noise."""
-    return 1.0 / nearest_bandwidth(scenario)
-
-
-def _settling(scenario: Scenario) -> float:
-    """[s] until the initial state of the drives has decayed."""
-    return SETTLING_CONSTANTS / (2.0 * math.pi * nearest_bandwidth(scenario))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -107,7 +107,6 @@ class Candidate:
 
     @property
     def kind(self) -> str:
-        """The id of the effect."""
         return str(self.effect.model_fields["kind"].default)
 
     @property
@@ -117,7 +116,6 @@ class Candidate:
 
     @property
     def place(self) -> tuple[str, ...]:
-        """What the effect is on: the axis, the body."""
         return tuple(
             f"{name}={value}"
             for name, value in sorted(self.fixed.items())
@@ -131,23 +129,6 @@ class Candidate:
             self.kind,
             *self.names,
             *sorted((k, str(v)) for k, v in {**self.fixed, **self.variant}.items()),
-        )
-
-    def held(self, index: int, value: float) -> Candidate:
-        """The same effect with one of its free scalar parameters fixed at ``value``."""
-        rest = np.delete(np.arange(len(self.names)), index)
-        names = tuple(self.names[i] for i in rest)
-        grid = tuple(tuple(start[i] for i in rest) for start in self.grid)
-        where = "fixed" if self.names[index] in self.effect.model_fields else "variant"
-        extended = {where: {**getattr(self, where), self.names[index]: value}}
-        return replace(
-            self,
-            names=names,
-            low=self.low[rest],
-            high=self.high[rest],
-            log=self.log[rest],
-            grid=grid,
-            **extended,
         )
 
     def at(self, theta: Array) -> Any:

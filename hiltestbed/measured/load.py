@@ -5,7 +5,7 @@ dataset lacks, and channels that are clipped at a limit or quantised.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -83,7 +83,6 @@ class MeasuredDataset:
 
     @property
     def names(self) -> list[str]:
-        """Names of the runs in messages and figures."""
         return [run.name for run in self.runs]
 
     def links(self) -> tuple[str, ...]:
@@ -131,7 +130,7 @@ def examine(
             continue
         remarks += found
         if record is not None and record.ticks >= FEWEST:
-            record, survey, more = check_run(record, scenario)
+            survey, more = check_run(record, scenario)
             runs.append(MeasuredRun(record, scenario, survey, names[index]))
             remarks += more
         elif all(remark.severity != "error" for remark in found):
@@ -170,18 +169,20 @@ def as_faults(dataset: MeasuredDataset) -> list[Fault]:
     ]
 
 
-def check_run(record: Record, scenario: Scenario) -> tuple[Record, Survey, list[Remark]]:
-    """The record with its clipped samples marked, its survey, and all remarks on it."""
+def check_run(record: Record, scenario: Scenario) -> tuple[Survey, list[Remark]]:
+    """The survey of a record, and all remarks on it."""
     found = look(record, scenario)
-    clipped, remarks = clipped_samples(record, found)
-    remarks += contradictions(record, found, scenario)
-    remarks += quantisation(record)
+    remarks = [
+        *clipped_samples(record, found),
+        *contradictions(record, found, scenario),
+        *quantisation(record),
+    ]
     wrong = any(remark.severity == "error" for remark in remarks)
     remarks += [] if wrong else remarks_on(record, found, scenario)
     if record.ticks > scenario.ticks * 1.01 + 1:
         text = f"lasts {record.t[-1]:.6g} s, longer than the scenario's {scenario.duration:.6g} s"
         remarks.append(note(record.run, "t", text))
-    return replace(record, clipped=clipped), found, remarks
+    return found, remarks
 
 
 def check_dataset(
@@ -208,12 +209,8 @@ def check_dataset(
     return remarks
 
 
-def clipped_samples(
-    record: Record, found: Survey
-) -> tuple[dict[str, NDArray[np.bool_]], list[Remark]]:
-    """Group to ``(ticks, parts)``: samples at a limit; and a remark on each such channel."""
-    clipped = {group: np.zeros_like(valid) for group, valid in record.valid.items()}
-    remarks = []
+def clipped_samples(record: Record, found: Survey) -> Iterator[Remark]:
+    """A remark on each channel with samples at a limit."""
     for name in record.columns():
         group, part = place(name)
         if group != "pose_act" and not group.startswith("wrench"):
@@ -223,15 +220,12 @@ def clipped_samples(
         if group == "pose_act":
             mask &= _held_back(record, part, values)
         if mask.any():
-            clipped[group][:, part] = mask
             levels = ", ".join(f"{level:.6g}" for level in np.unique(values[mask]))
             text = (
                 f"is at its limit ({levels}) in {int(mask.sum())} samples, which it reaches with a "
                 f"corner: clipped; larger values are lost"
             )
-            fix = "raise the range of the channel, or run slower"
-            remarks.append(loss(record.run, name, text, fix))
-    return clipped, remarks
+            yield loss(record.run, name, text, "raise the range of the channel, or run slower")
 
 
 def _at_limit(values: Array, level: float, quantum: float) -> NDArray[np.bool_]:
@@ -272,15 +266,11 @@ def _is_corner(values: Array, start: int, end: int, quantum: float) -> bool:
     return bool(falls) and min(falls) > CORNER * quantum
 
 
-def quantisation(record: Record) -> list[Remark]:
+def quantisation(record: Record) -> Iterator[Remark]:
     """A note on each quantised channel."""
-    remarks = []
     for name, step in record.steps.items():
         values = record.column(name)
         if np.isfinite(values).sum() * step >= STEPS * np.ptp(values[record.measured(name)]):
-            text = (
-                f"comes in steps of {step:.4g}: a noise of {step / np.sqrt(12):.3g} (1 "
-                f"sigma) at best"
-            )
-            remarks.append(note(record.run, name, text))
-    return remarks
+            noise = step / np.sqrt(12)
+            text = f"comes in steps of {step:.4g}: a noise of {noise:.3g} (1 sigma) at best"
+            yield note(record.run, name, text)

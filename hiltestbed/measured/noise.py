@@ -13,8 +13,7 @@ FREE_MINIMUM = 20  # samples before the first touch, at least, to estimate a noi
 # its sigma for white noise of unit sigma: the variance is 1 + 9 + 9 + 1
 THIRD_DIFFERENCE = math.sqrt(20.0)
 MAD_TO_SIGMA = 1.4826
-# chosen: third differences of quantised values beyond it, as at a touch, count as this much
-CLIP_SIGMA = 4.0
+OUTLIER_SIGMA = 4.0  # derived: standard deviations, beyond which 6e-5 of normal samples lie
 # Derived: level in steps with a noise of 0.2 steps. An eighth of the variance of rounding is then
 # alike from row to row: the first harmonic of its sawtooth, 12/(2 pi^2) of that variance, times
 # exp(-(2 pi 0.2)^2).
@@ -79,7 +78,7 @@ def white_noise(values: Array, step: float = 0.0) -> float:
         return 0.0
     usual = MAD_TO_SIGMA * float(np.median(third))
     if step > 0.0 or usual == 0.0:
-        far = CLIP_SIGMA * max(usual, step) if step > 0.0 else math.inf
+        far = OUTLIER_SIGMA * max(usual, step) if step > 0.0 else math.inf
         rms = float(np.sqrt(np.mean(np.minimum(third, far) ** 2)))
         usual = rms if rms > THIRD_DIFFERENCE * DITHERED * step else max(rms, usual)
     return usual / THIRD_DIFFERENCE

@@ -86,7 +86,6 @@ def _forces(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
 
 
 def _attitudes(record: Record, scenario: Scenario) -> Iterator[Remark]:
-    """Length and order of the quaternions."""
     expected = quat_from_attitude_deg(scenario.approach.attitude_deg)
     for group in ("pose_cmd", "pose_act"):
         q = record.data[group][:, 3:] if record.has(group) else np.zeros((0, 4))

@@ -43,7 +43,6 @@ class Record:
         data: group to ``(ticks, parts)``, SI units; NaN where not ``valid``. Groups without any
             column are left out.
         valid: group to ``(ticks, parts)``: the file has a sample within half a tick.
-        clipped: group to ``(ticks, parts)``: the sample is at a limit, larger values are lost.
         absent: columns of MEASURED_GROUPS that the file lacks, or that were lost.
         sample_rate: [Hz] of the file.
         steps: quantised column to its step.
@@ -59,7 +58,6 @@ class Record:
     t: Array
     data: dict[str, Array]
     valid: dict[str, NDArray[np.bool_]]
-    clipped: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
     sample_rate: float = 0.0
     steps: dict[str, float] = field(default_factory=dict)
@@ -82,7 +80,6 @@ class Record:
         )
 
     def columns(self) -> tuple[str, ...]:
-        """The columns that were measured."""
         return tuple(c for name in self.data for c in GROUPS[name].columns if c not in self.absent)
 
     def column(self, name: str) -> Array:
@@ -174,7 +171,7 @@ class Record:
         known = np.all(
             [self.measured(c) for c in GROUPS[group].columns if c not in self.absent], axis=0
         )
-        stride = math.ceil(self._rate / self.sample_rate - 1e-6) if self.sample_rate else 1
+        stride = math.ceil(self.rate / self.sample_rate - 1e-6) if self.sample_rate else 1
         at = np.flatnonzero(known)
         missing = np.zeros(self.ticks, dtype=bool)
         for before, after in zip(np.r_[-1, at], np.r_[at, self.ticks], strict=True):
@@ -183,7 +180,7 @@ class Record:
         return missing
 
     @property
-    def _rate(self) -> float:
+    def rate(self) -> float:
         """[Hz] of the ticks."""
         return float((self.ticks - 1) / self.t[-1]) if self.ticks > 1 else 1.0
 
@@ -208,7 +205,7 @@ class Record:
                 integral.
         """
         missing = self._in_long_gaps(group) if group.startswith("pose") else self.lost(group)
-        lasting = self.ticks if memory is None else round(memory * self._rate)
+        lasting = self.ticks if memory is None else round(memory * self.rate)
         rows = np.arange(self.ticks)
         last = np.maximum.accumulate(np.where(missing, rows, -1))
         return (last >= 0) & (rows - last <= lasting)

@@ -72,7 +72,6 @@ def loss(run: int | None, channel: str, text: str, fix: str = "") -> Remark:
 
 
 def note(run: int | None, channel: str, text: str, fix: str = "") -> Remark:
-    """A finding for information."""
     return Remark("note", run, channel, text, fix)
 
 

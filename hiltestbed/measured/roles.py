@@ -1,11 +1,11 @@
 """What a column of a log may be, by its name and the unit that the file or the name states; without
-a name, by its numbers.
+a name, by its numbers; and the joints of a log of several.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import combinations
 from typing import NamedTuple
 
@@ -54,6 +54,11 @@ QUANTITY_OF = {"s": "time", "m": "position", "rad": "position", "N": "force", "N
 ANGLES = {"roll": "rx", "pitch": "ry", "yaw": "rz", "rx": "rx", "ry": "ry", "rz": "rz"}
 _ARROW = {"force": "f", "torque": "t", "position": "p"}
 TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|°|µ")
+
+
+# words of a name that say neither what is measured nor where
+ANYWHERE = "joint joints state states motor axis sensor robot arm data msg"
+FEWEST = 2  # joints of an arm
 
 
 class Role(NamedTuple):
@@ -125,6 +130,7 @@ def _set(words: str) -> frozenset[str]:
 _KNOWN: Mapping[str, frozenset[str]] = {q: _set(words) for q, words in WORDS.items()}
 _COMMANDED, _REACHED, _ANGULAR = _set(COMMANDED), _set(REACHED), _set(ANGULAR)
 _COMPENSATED = _set(COMPENSATED)
+_NO_PLACE = _set(f"{' '.join(WORDS.values())} {COMMANDED} {REACHED} {ANYWHERE}")
 
 
 def by_values(data: Mapping[str, Array]) -> dict[str, Role]:
@@ -152,7 +158,6 @@ def by_values(data: Mapping[str, Array]) -> dict[str, Role]:
 
 
 def finite(values: Array) -> Array:
-    """The values that are finite."""
     return values[np.isfinite(values)]
 
 
@@ -179,3 +184,46 @@ def length_unit(values: Array) -> tuple[str, str]:
     """The unit of a position that states none, and why: a travel above 2 m is taken for mm."""
     travel = float(np.nanmax(values) - np.nanmin(values))
     return ("m" if travel < 2.0 else "mm"), f"by its travel of {travel:.3g}"
+
+
+class Joint(NamedTuple):
+    """A joint of a log: its name, and the columns of its position and of what drives it."""
+
+    name: str
+    position: Role
+    effort: Role
+
+
+def joints_of(roles: Mapping[str, Role]) -> list[Joint]:
+    """The joints of which a log holds position and torque, force or current; none, if fewer than
+    two.
+    """
+    own = [r for r in roles.values() if not r.commanded and not r.part]
+    places = _by_place(r for r in own if r.quantity == "position")
+    found: list[Joint] = []
+    for quantity in PUSHES:
+        driven = _by_place(r for r in own if r.quantity == quantity)
+        shared = [place for place in places if place and place in driven]
+        if len(shared) > max(len(found), FEWEST - 1):
+            found = [Joint(_named(p, places[p], driven[p]), places[p], driven[p]) for p in shared]
+    return found
+
+
+def _by_place(roles: Iterable[Role]) -> dict[tuple[str, ...], Role]:
+    """Roles by what their names say of the place, the first of each."""
+    out: dict[tuple[str, ...], Role] = {}
+    for role in roles:
+        bare, _ = split_unit(role.column)
+        words = [word.lower() for word in TOKEN.findall(bare)]
+        if role.unit and len(words) > 1 and words[-1] == role.unit.replace(" ", "").lower():
+            words.pop()
+        out.setdefault(tuple(w for w in words if w not in _NO_PLACE), role)
+    return out
+
+
+def _named(place: tuple[str, ...], position: Role, effort: Role) -> str:
+    """The name of a joint: that in which both columns end, as in a ROS 2 message, or the place."""
+    ends = {re.split("[/.]", role.column)[-1] for role in (position, effort)}
+    if len(ends) == 1 and (end := ends.pop()).isidentifier():
+        return end
+    return "_".join(("joint", *place) if place[0].isdigit() else place)

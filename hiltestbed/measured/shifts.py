@@ -22,22 +22,18 @@ import numpy as np
 from scipy.signal import correlate, savgol_filter
 
 from hiltestbed.compensation.input import InputParameters
-from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import believed_contacts, contact_rows
-from hiltestbed.contact.phases import latch_limits
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects.log import log_parameters
-from hiltestbed.frames import Array, pose_step
-from hiltestbed.measured.noise import MAD_TO_SIGMA
+from hiltestbed.frames import Array
+from hiltestbed.measured.noise import MAD_TO_SIGMA, OUTLIER_SIGMA
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark, error, note
 from hiltestbed.measured.survey import Survey
-from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
 from hiltestbed.replay import (
     Departing,
     Felt,
-    creep_of,
     follows_exactly,
     replay_compensation,
     replay_model,
@@ -256,9 +252,9 @@ def _echo(record: Record, given: Array | None) -> int | None:
 
 
 def _clipped_noise(values: Array) -> Array:
-    """Third differences of ``values``, clipped at four sigma."""
+    """Third differences of ``values``, without outliers."""
     third = np.diff(values, 3)
-    most = 4.0 * MAD_TO_SIGMA * np.median(np.abs(third))
+    most = OUTLIER_SIGMA * MAD_TO_SIGMA * np.median(np.abs(third))
     return np.clip(third, -most, most)
 
 
@@ -337,30 +333,14 @@ def _felt(record: Record, scenario: Scenario) -> tuple[Array, Array]:
     """The believed sensor's reading of the recorded pose, (ticks, 6): undamped, and damped."""
     mechanism, path = scenario.mechanism, record.filled("pose_act")
     path[:, :3] = _smooth(path[:, :3])
-    before = np.empty(7)
-    pose_step(path[0], approach_state(scenario)[7:], -scenario.tick, before)
-    felt = Felt(
-        path[None],
-        before[None],
-        scenario.tick,
-        sides_of(mechanism).geometry,
-        np.array([mechanism.captured]),
-        latch_limits([scenario]),
-        MountDynamics.of([scenario]),
-        scenario.substeps,
-        least_creep=creep_of(scenario),
-    )
+    felt = Felt.along([scenario], path[None])
     damped = [
         replace(c, damping=c.damping or c.stiffness * scenario.tick)
         for c in believed_contacts(mechanism)
     ]
     undamped = [replace(c, damping=0.0) for c in damped]
     sensor, rules = SensorParameters.believed(scenario.sensor), sides_of(mechanism).rules
-    spring, both = replay_wrench(
-        felt,
-        [
-            Lane(0, contact_rows(contacts, rules, mechanism.captured), sensor, log_parameters(()))
-            for contacts in (undamped, damped)
-        ],
-    )
+    rows = (contact_rows(c, rules, mechanism.captured) for c in (undamped, damped))
+    lanes = [Lane(0, contacts, sensor, log_parameters(())) for contacts in rows]
+    spring, both = replay_wrench(felt, lanes)
     return spring, both

@@ -10,7 +10,7 @@ from hiltestbed.replay.compensation import replay_compensation
 from hiltestbed.replay.felt import Felt
 from hiltestbed.replay.numerical_model import Departing, replay_model
 from hiltestbed.replay.platform import replay_platform
-from hiltestbed.replay.rig import can_carry, creep_of, follows_exactly, moves_linearly, replay_rig
+from hiltestbed.replay.rig import can_carry, follows_exactly, moves_linearly, replay_rig
 from hiltestbed.replay.simulated import Engaged, Simulated
 from hiltestbed.replay.wrench import replay_wrench
 
@@ -20,7 +20,6 @@ __all__ = [
     "Felt",
     "Simulated",
     "can_carry",
-    "creep_of",
     "follows_exactly",
     "moves_linearly",
     "replay_compensation",

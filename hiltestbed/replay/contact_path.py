@@ -1,17 +1,19 @@
 """The contact wrench along a recorded path, at the instants of ticks in which surfaces may meet.
 
-At a row, where nothing tilts or yields, the contact geometry is that of all hypotheses (see
-:class:`~hiltestbed.replay.felt.Felt`).
+Which candidates of a contact can meet follows from bounds of how far surfaces move: the geometry of
+the others is not searched.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.geometry import Geometry, Met, arm
+from hiltestbed.contact.geometry import ROUND_FRAME, ROW, Geometry, Met, arm, meet, unmet
+from hiltestbed.contact.law import STATES
 from hiltestbed.contact.mount import mount_place
 from hiltestbed.contact.mount_dynamics import mount_reading
 from hiltestbed.contact.parameters import (
@@ -26,9 +28,9 @@ from hiltestbed.contact.parameters import (
     TILT_Y,
 )
 from hiltestbed.contact.phases import closes
-from hiltestbed.contact.wrench import contact_wrench, held_at, relate_one, surface_wrench
+from hiltestbed.contact.wrench import contact_wrench, held_at, meet_all, relate_one, surface_wrench
 from hiltestbed.frames import Array, quat_exp, quat_mul
-from hiltestbed.replay.felt import NEAR, way_between
+from hiltestbed.replay.felt import way_between
 from hiltestbed.replay.mounted import (
     LAST,
     STEP_SIGMA,
@@ -38,29 +40,16 @@ from hiltestbed.replay.mounted import (
     swing_freely,
     touched,
 )
-from hiltestbed.replay.nearness import (
-    distance,
-    meet_every,
-    meet_near,
-    meet_next,
-    move_lever,
-    on_passive,
-    outside,
-    reach_of_swing,
-    scene_of,
-)
 
 NO_LATCH = 1.5  # cosine of a latch condition, from which it can never be met
 
 
 class Trajectory(NamedTuple):
-    """The path of a run, and the geometry that moved along it; see
-    :class:`~hiltestbed.replay.felt.Felt`.
+    """The path of a run; see :class:`~hiltestbed.replay.felt.Felt`.
 
     Attributes:
         poses, twists, ends, clear: (N, ...). bent: whether the twist changes within a tick.
             captured: from the start. tick: [s].
-        met: of each row, (N, C, ...).
     """
 
     poses: Array
@@ -69,13 +58,65 @@ class Trajectory(NamedTuple):
     bent: bool
     before: Array
     clear: Array
-    met: Met
     captured: bool
     latch: Array
     tick: float
     geometry: Geometry
-    lever: float
     least_creep: float
+
+
+class Scene(NamedTuple):
+    """The contacts of a run at an instant; its arrays are updated in place.
+
+    Attributes:
+        p, least_creep: (C + 1, PARAMETERS) of the law, and of its friction.
+        tilt: (7,) of the passive port. frames, motions: (2, 7), (2, 6) of both sides.
+        state: (C + 1, STATES). hold: (7,) of the latch. wrench: (6,).
+        touching: (C,) bool, and slipped: (C, 3) the slips before, as of
+            :func:`~hiltestbed.replay.mounted.touched`.
+        seen, apart_by: (2, 7), (C,) see :func:`meet_next`. work: (9, 7) scratch.
+    """
+
+    geometry: Geometry
+    p: Array
+    least_creep: float
+    tilt: Array
+    frames: Array
+    motions: Array
+    state: Array
+    hold: Array
+    met: Met
+    wrench: Array
+    touching: np.ndarray
+    slipped: Array
+    seen: Array
+    apart_by: Array
+    work: Array
+
+
+@njit(cache=True)
+def scene_of(path, p, tilt):
+    """A :class:`Scene` before the first row of a :class:`Trajectory`."""
+    count = p.shape[0] - 1
+    frames, hold = np.zeros((2, 7)), np.zeros(7)
+    frames[1], hold[6] = tilt, 1.0
+    return Scene(
+        path.geometry,
+        p,
+        path.least_creep,
+        tilt,
+        frames,
+        np.zeros((2, 6)),
+        np.zeros((count + 1, STATES)),
+        hold,
+        unmet(count),
+        np.zeros(6),
+        np.zeros(count, dtype=np.bool_),
+        np.zeros((count, 3)),
+        np.zeros((2, 7)),
+        np.zeros(count),
+        np.empty((9, 7)),
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -99,12 +140,6 @@ def contact_along(path, mount, p, tilt, parts, between, sub):
     reach = max(0.0, -law[OFFSET] if count == 0 else -p[0, OFFSET])
     remembers = law[BRANCH_STIFFNESS] > 0.0 or law[DRAG] > 0.0 or law[OVER_STRETCH] > 0.0
     remembers = remembers or law[MODE] > 0.0 or path.latch[1] < NO_LATCH
-    moved = law[LEVER] - path.lever
-    plain = lean == 0.0 and not mount.there and reach <= NEAR
-    plain = plain and (moved == 0.0 or on_passive(scene.geometry.index, count))
-    sharp = not mount.there and law[MODE] == 0.0
-    for c in range(count):
-        sharp &= p[c, BLUNT] == 1.0
     for k in range(path.poses.shape[0]):
         may_latch = not latched and path.latch[1] < NO_LATCH
         if not latched and law[MODE] == 0.0:
@@ -129,10 +164,6 @@ def contact_along(path, mount, p, tilt, parts, between, sub):
                 continue
             dt = h * (parts[s] - passed)
             passed = parts[s]
-            if parts[s] == 1.0 and plain and not latched:
-                _at_row(path, scene, moved, dt, k, sub[k, s])
-                wrench[:] = sub[k, s]
-                continue
             split = 1
             if mount.leapfrog and not latched and k > 0:
                 slips = scene.touching, scene.met.slip, scene.slipped
@@ -146,23 +177,22 @@ def contact_along(path, mount, p, tilt, parts, between, sub):
                     mount_place(moving[0], moving[2], tilt, scene.frames[1], scene.motions[1])
                 if latched:
                     _exert(scene, dt, True, wrench)
-                elif mount.there:
-                    before = wrench.copy()
-                    scene.slipped[:] = scene.met.slip
-                    meet_next(scene, longest)
-                    _press(scene, dt)
-                    if mount.leapfrog:
-                        slips = scene.touching, scene.met.slip, scene.slipped
-                        part = touched(depth, scene.met.rate, p, dt, *slips)
-                        if part >= 0.0 and k > 0:
-                            touches += 1
-                            part += STEP_SIGMA * split if touches == mount.early else 0.0
-                            struck(mount, dt, part, wrench, before, *moving[:3])
-                elif sharp and at == 1.0:
-                    meet_near(scene, path.met.depth[k], lean)
-                    _press(scene, dt)
+                    continue
+                before = wrench.copy()
+                scene.slipped[:] = scene.met.slip
+                if law[MODE] > 0.0:  # the frame swings back towards surfaces that are apart
+                    sides = scene.frames, scene.motions
+                    meet_all(scene.geometry, p, *sides, scene.work, scene.met)
                 else:
-                    _exert(scene, dt, False, wrench)
+                    meet_next(scene, longest)
+                _press(scene, dt)
+                if mount.leapfrog:
+                    slips = scene.touching, scene.met.slip, scene.slipped
+                    part = touched(depth, scene.met.rate, p, dt, *slips)
+                    if part >= 0.0 and k > 0:
+                        touches += 1
+                        part += STEP_SIGMA * split if touches == mount.early else 0.0
+                        struck(mount, dt, part, wrench, before, *moving[:3])
             if mount.there:
                 mount_reading(mount.stiffness, mount.damping, moving[0], moving[2], sub[k, s])
             else:
@@ -189,12 +219,9 @@ def _apart(path, mount, scene, moving, bounds, k):
         if lean == 0.0:
             return False
         _to_row(path, mount, scene, moving, k)
-        meet_every(scene)
+        meet_all(scene.geometry, scene.p, scene.frames, scene.motions, scene.work, scene.met)
         last = path.poses[k - 1]
         return -scene.met.depth.max() > reach + swing + way_between(last, pose, longest)
-    if lean == 0.0 and reach <= NEAR:
-        depths = path.met.depth
-        return clear > NEAR or (k > 0 and outside(depths[k], depths[k - 1], scene.p))
     return clear > reach + lean * away
 
 
@@ -245,21 +272,6 @@ def _within(pose, slopes, h, part, out, rate):
 
 
 @njit(cache=True)
-def _at_row(path, scene, moved, dt, k, wrench):
-    """Add to ``wrench`` (6,) the contacts at row k, whose geometry is known but for the point of
-    application, which is ``moved`` by this fraction of the overlap.
-    """
-    depths, rates, points, normals, slips = path.met
-    point, slip = scene.met.point, scene.met.slip
-    scene.frames[0], scene.motions[0] = path.poses[k], path.ends[k]
-    point[:], slip[:] = points[k], slips[k]
-    if moved != 0.0:
-        move_lever(moved, depths[k], normals[k], path.ends[k], point, slip)
-    met, laws = Met(depths[k], rates[k], point, normals[k], slip), _laws(scene, dt)
-    surface_wrench(scene.geometry, laws, scene.frames, met, scene.work[7], wrench)
-
-
-@njit(cache=True)
 def _laws(scene, dt):
     """See :func:`~hiltestbed.contact.wrench.contact_wrench`."""
     return dt, scene.least_creep, scene.p, scene.state
@@ -303,3 +315,67 @@ def _latches(scene, latch, leapfrog):
     for j in range(6):
         scene.wrench[j] = 0.5 * (scene.wrench[j] + before[j])
     return True
+
+
+@njit(cache=True)
+def meet_next(scene, longest):
+    """Contact geometry of those candidates that can touch, given what the two frames have moved
+    since an earlier call.
+
+    ``seen`` (2, 7): frames at that call. ``apart_by`` (C,): lower bound of the distance of each
+    candidate then [m]; both are updated. ``longest``: largest distance of a round from its frame
+    [m].
+    """
+    depth, rate, frames, seen = scene.met.depth, scene.met.rate, scene.frames, scene.seen
+    apart_by = scene.apart_by
+    pose, twist, scratch = scene.work[5], scene.work[6][:6], scene.work[:5, :3]
+    reach = longest + math.sqrt(
+        (seen[0, 0] - seen[1, 0]) ** 2
+        + (seen[0, 1] - seen[1, 1]) ** 2
+        + (seen[0, 2] - seen[1, 2]) ** 2
+    )
+    moved = way_between(seen[0], frames[0], reach) + way_between(seen[1], frames[1], reach)
+    seen[:] = frames
+    a = -1
+    for c in range(depth.shape[0]):
+        ahead = max(0.0, -scene.p[c, OFFSET])
+        apart_by[c] -= moved
+        if apart_by[c] > ahead:
+            depth[c], rate[c] = -apart_by[c], 0.0
+            continue
+        if scene.geometry.index[c * ROW + ROUND_FRAME] != a:
+            a = scene.geometry.index[c * ROW + ROUND_FRAME]
+            b = 1 - a
+            sides = frames[a], scene.motions[a], frames[b], scene.motions[b]
+            relate_one(*sides, pose, twist, scratch)
+        meet(
+            scene.geometry,
+            c,
+            pose,
+            twist,
+            (scene.p[c, LEVER], scene.p[c, BLUNT], ahead),
+            scratch,
+            scene.met,
+        )
+        apart_by[c] = -depth[c]
+
+
+@njit(cache=True)
+def reach_of_swing(q, qd, h, away):
+    """Upper bound of the approach [m] that an unloaded mount may cause within a tick, at a distance
+    ``away`` [m] from its hinges.
+
+    The bound is twice its deflection plus its rate times a tick; it holds since its period is
+    resolved by several ticks.
+    """
+    slid, turned = 0.0, 0.0
+    for j in range(3):
+        slid += 2.0 * abs(q[j]) + h * abs(qd[j])
+        turned += 2.0 * abs(q[3 + j]) + h * abs(qd[3 + j])
+    return slid + turned * away
+
+
+@njit(cache=True)
+def distance(pose):
+    """Distance of A from P's origin [m]."""
+    return math.sqrt(pose[0] ** 2 + pose[1] ** 2 + pose[2] ** 2)

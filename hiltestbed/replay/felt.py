@@ -1,27 +1,34 @@
-"""Data shared by the lanes of a replay of contact and sensor: the paths of A, and the contact
-geometry along them.
+"""Data shared by the lanes of a replay of contact and sensor: the paths of A, and how near the
+surfaces come along them.
 """
 
 from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.geometry import Geometry, Met, arm
+from hiltestbed.contact.geometry import Geometry, arm, unmet
 from hiltestbed.contact.mount_dynamics import MountDynamics
-from hiltestbed.contact.parameters import BLUNT, LEVER, OFFSET, PARAMETERS
+from hiltestbed.contact.parameters import BLUNT, OFFSET, PARAMETERS
+from hiltestbed.contact.phases import latch_limits
+from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.wrench import meet_all
-from hiltestbed.frames import Array, twist_between
+from hiltestbed.frames import Array, pose_step, twist_between
+from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.platform.driven import least_creep
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
 
 # [byte] of contact wrenches that are cached, for replays that change only the sensor
 KEPT = 64_000_000
-# [m] largest shift of the surfaces, relative to nominal, for which rows can be skipped by their
-# geometry alone
-NEAR = 2.5e-3
+NEAR = 2.5e-3  # [m] distance of the surfaces up to which it is exact
 
 # run, whether read between instants, the instants within a tick, contact parameters
 ContactKey = tuple[int, bool, bytes, bytes]
@@ -61,8 +68,9 @@ class Felt:
             of the latch condition; never met
             without a latch. mount: of the runs, or None for a rigid one.
         substeps: physics instants per tick, at which a compliant mount is integrated.
-        lever: point of application of the force within the overlap. rates: (R, N, 6) twist at t_k
-            if known, as with a servo; None: the mean twist over the tick that ends there.
+        blunt: 1 where the ball of a tip touches, 0 where its foremost point does. rates: (R, N, 6)
+            twist at t_k if known, as with a servo; None: the mean twist over the tick that ends
+            there.
         least_creep: [m/s per N] limits the slope of friction, see
             :class:`hiltestbed.contact.contacts.Contacts`.
         leapfrog: whether a mount is integrated to second order, instead of as by MuJoCo. hastened:
@@ -71,9 +79,8 @@ class Felt:
         twists: (R, N, 6) mean over the tick that ends at each row. clear: (R, N) lower bound of the
             surfaces' distance in that tick [m].
         kept: cached contact wrenches of the latest replays.
-        met: contact geometry at t_k without tilt, while the surfaces are near, see
-            :func:`hiltestbed.contact.wrench.meet_all`: it does not depend on the hypothesis about
-            the force law.
+        depth: (R, N, C) penetration of each candidate at t_k without tilt [m]; below -NEAR an
+            upper bound.
     """
 
     poses: Array
@@ -84,7 +91,6 @@ class Felt:
     latch: Array
     mount: MountDynamics | None
     substeps: int
-    lever: float = 0.5
     blunt: float = 1.0
     rates: Array | None = None
     least_creep: float = 0.0
@@ -92,22 +98,37 @@ class Felt:
     hastened: int = 0
     twists: Array = field(init=False)
     clear: Array = field(init=False)
-    met: tuple[Array, Array, Array, Array, Array] = field(init=False)
+    depth: Array = field(init=False)
     kept: Kept = field(default_factory=Kept, init=False, repr=False)
+
+    @classmethod
+    def along(cls, scenarios: Sequence[Scenario], poses: Array, rates: Array | None = None) -> Felt:
+        """The believed mechanism of the ``scenarios`` of R runs, with two rigid sides."""
+        first, before = scenarios[0], np.empty((len(scenarios), 7))
+        for s, path, start in zip(scenarios, poses, before, strict=True):
+            pose_step(path[0], approach_state(s)[7:], -s.tick, start)
+        return cls(
+            poses,
+            before,
+            first.tick,
+            sides_of(first.mechanism).geometry,
+            np.array([s.mechanism.captured for s in scenarios]),
+            latch_limits(scenarios),
+            MountDynamics.of(scenarios),
+            first.substeps,
+            rates=rates,
+            least_creep=(
+                0.0 if first.rig.platform.prescribed else least_creep(1.0 / first.physics_rate)
+            ),
+        )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "twists", slopes(self.poses, self.before, self.tick))
-        met, clear = zip(*(self._met(r) for r in range(len(self.poses))), strict=True)
-        object.__setattr__(self, "met", Met(*(np.stack(one) for one in zip(*met, strict=True))))
-        object.__setattr__(self, "clear", np.stack(clear))
-
-    def _met(self, r: int) -> tuple[Met, Array]:
-        rows, count = self.poses.shape[1], self.geometry.count
-        depth, rate, clear = np.full((rows, count), -1.0), np.zeros((rows, count)), np.empty(rows)
-        met = Met(depth, rate, *(np.zeros((rows, count, 3)) for _ in range(3)))
-        levers = (self.lever, self.blunt)
-        _meet(self.geometry, levers, self.poses[r], self.ends[r], self.before[r], clear, met)
-        return met, clear
+        shape = *self.poses.shape[:2], self.geometry.count
+        object.__setattr__(self, "depth", np.full(shape, -1.0))
+        object.__setattr__(self, "clear", np.empty(shape[:2]))
+        for r, path in enumerate(zip(self.poses, self.ends, self.before, strict=True)):
+            _meet(self.geometry, self.blunt, *path, self.clear[r], self.depth[r])
 
     def instants(self, grid: int | None) -> int:
         """Number of instants per tick to compute if readings are interpolated between ``grid``
@@ -122,23 +143,21 @@ class Felt:
 
 
 @njit(cache=True)
-def _meet(geometry, levers, poses, twists, before, clear, met):
-    """Contact geometry at each row, and a lower bound of the surfaces' distance in the tick that
-    ends there.
+def _meet(geometry, blunt, poses, twists, before, clear, depth):
+    """Penetrations at each row, and a lower bound of the surfaces' distance in the tick that ends
+    there.
     """
-    depth, rate, point, normal, slip = met
     count = depth.shape[1]
     frames, motions, work = np.zeros((2, 7)), np.zeros((2, 6)), np.empty((9, 7))
-    p = np.ones((max(count, 1), PARAMETERS))
+    p, met = np.ones((max(count, 1), PARAMETERS)), unmet(count)
     frames[1, 6] = 1.0
-    p[:, LEVER], p[:, BLUNT] = levers
-    p[:, OFFSET] = -NEAR
+    p[:, BLUNT], p[:, OFFSET] = blunt, -NEAR
     longest = arm(geometry.values, count)
     last, nearest = before, -np.inf
     for k in range(len(poses)):
         frames[0], motions[0] = poses[k], twists[k]
-        row = Met(depth[k], rate[k], point[k], normal[k], slip[k])
-        meet_all(geometry, p, frames, motions, work, row)
+        meet_all(geometry, p, frames, motions, work, met)
+        depth[k] = met.depth
         now = -np.inf
         for c in range(count):
             now = max(now, depth[k, c])

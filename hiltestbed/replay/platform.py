@@ -20,13 +20,11 @@ from hiltestbed.platform.response import (
     follow_behind,
     second_order,
 )
-from hiltestbed.replay.stiction import Obeying, commanded, stick_to
+from hiltestbed.replay.stiction import ON_AN_INSTANT, Obeying, commanded, stick_to
 
 if TYPE_CHECKING:
     from hiltestbed.platform.parameters import PlatformParameters
     from hiltestbed.scenario import Scenario
-
-WHOLE = 1e-9  # ticks within which a delay counts as a whole number
 
 
 class PlatformLane(NamedTuple):
@@ -108,7 +106,7 @@ def _lane(
 ) -> PlatformLane:
     late = (float(p.delay) + obeyed) / tick
     bend = late - math.floor(late)
-    straight = min(bend, 1.0 - bend) < WHOLE
+    straight = min(bend, 1.0 - bend) < ON_AN_INSTANT
     if p.stick > 0.0:
         m = p.instants or s.substeps
         parts = np.array([*(np.arange(1, m + 1) - p.phase) / m, *([1.0] if p.phase else [])])

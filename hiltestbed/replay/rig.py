@@ -20,7 +20,6 @@ from hiltestbed.compensation.motion import MotionCommand
 from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.platform.driven import least_creep
 from hiltestbed.platform.plant import Plant
 from hiltestbed.replay.felt import slopes
 
@@ -79,13 +78,6 @@ def can_carry(scenario: Scenario) -> bool:
     is uniform, or stepped by a servo.
     """
     return scenario.rig.platform.tracking != "response" and scenario.rig.upper.kind == "fixed"
-
-
-def creep_of(scenario: Scenario) -> float:
-    """``least_creep`` [m/s per N] in the rig of a scenario, see
-    :class:`hiltestbed.contact.contacts.Contacts`.
-    """
-    return 0.0 if scenario.rig.platform.prescribed else least_creep(1.0 / scenario.physics_rate)
 
 
 def replay_rig(

@@ -11,7 +11,6 @@ import numpy as np
 from numba import get_num_threads
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.geometry import Met
 from hiltestbed.contact.wrench import tilts
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.log import LogParameters
@@ -22,8 +21,7 @@ from hiltestbed.replay.mounted import RIGID, PathMount
 from hiltestbed.replay.simulated import Simulated
 from hiltestbed.sensor.chain import MEMORY, condition, filters, passes
 from hiltestbed.sensor.parameters import SensorParameters, stack
-
-WHOLE = 1e-6  # ticks within which a delay counts as a whole number
+from hiltestbed.sensor.sensor import WHOLE
 
 
 class Lane(NamedTuple):
@@ -109,12 +107,10 @@ def _exerted(felt: Felt, lanes: Sequence[Lane], parts: Array, between: bool) -> 
             felt.rates is not None,
             felt.before[r],
             felt.clear[r],
-            Met(*(rows[r] for rows in felt.met)),
             bool(felt.captured[r]),
             felt.latch[r],
             felt.tick,
             felt.geometry,
-            felt.lever,
             felt.least_creep,
         )
         sub = np.empty((felt.poses.shape[1], parts.shape[1], 6))

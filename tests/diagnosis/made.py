@@ -71,9 +71,8 @@ def bounce(rows: int = 500, speed: float = 0.03) -> Array:
 def reread(link: WrenchLink, measured: Sequence[Array]) -> WrenchLink:
     """The same link with other readings."""
     runs = [replace(run, measured=m) for run, m in zip(link.runs, measured, strict=True)]
-    return WrenchLink(runs, link.paths, link.jumps, link.rates).interpreted(
-        link.lever, link.grid, exact=link.exact
-    )
+    same = WrenchLink(runs, link.paths, link.jumps, link.rates)
+    return same.interpreted(**link.reads._asdict())
 
 
 def link_run(

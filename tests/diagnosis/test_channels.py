@@ -193,7 +193,7 @@ def test_the_noise_of_the_force_is_not_in_the_path_that_yields_to_it(tmp_path: P
     layout = lay_out(load_dataset(partial(tmp_path / "some", rig, NOT_REACHED)))
     assert layout.deflection is not None
     for i, (run, path, found) in enumerate(
-        zip(layout.runs, best_path(layout, None).path.poses, layout.deflection, strict=True)
+        zip(layout.runs, best_path(layout, None).poses, layout.deflection, strict=True)
     ):
         reached = pq.read_table(tmp_path / "all" / f"run_{i}.parquet")["pose_act.pz"].to_numpy()
         errors = [

@@ -15,7 +15,7 @@ import pytest
 
 from hiltestbed.cli import main
 from hiltestbed.diagnosis.diagnose import diagnose
-from hiltestbed.diagnosis.report.conclude import conclude
+from hiltestbed.diagnosis.report.diagnosis import conclude
 from hiltestbed.diagnosis.result import Finding
 from hiltestbed.effects import EFFECTS
 from hiltestbed.measured import load_dataset

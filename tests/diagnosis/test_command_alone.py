@@ -13,9 +13,10 @@ import pyarrow.parquet as pq
 import pytest
 
 import hiltestbed
-from hiltestbed.diagnosis.layout import DatasetLayout, lay_out
+from hiltestbed.diagnosis.layout import lay_out
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.paths import best_path, make_wrench_link
+from hiltestbed.diagnosis.recorded import DatasetLayout
 from hiltestbed.effects import Effect
 from hiltestbed.measured import load_dataset
 

@@ -17,7 +17,7 @@ from hiltestbed.diagnosis.learned import learn
 from hiltestbed.diagnosis.learned.finding import learned_on
 from hiltestbed.diagnosis.learned.learn import carries_over
 from hiltestbed.diagnosis.paths import best_path, make_wrench_link
-from hiltestbed.diagnosis.report.conclude import conclude
+from hiltestbed.diagnosis.report.diagnosis import conclude
 from hiltestbed.diagnosis.report.evidence import link_series
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.result import Finding

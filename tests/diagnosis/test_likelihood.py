@@ -16,14 +16,11 @@ import pytest
 from scipy.stats import norm
 
 from hiltestbed.diagnosis.find import Judged, judge
-from hiltestbed.diagnosis.investigate import (
-    candidates_of,
-    dynamics,
-    investigate,
-)
+from hiltestbed.diagnosis.investigate import candidates_of, investigate
 from hiltestbed.diagnosis.layout import lay_out
 from hiltestbed.diagnosis.link_model import LinkModel, leftover
 from hiltestbed.diagnosis.paths import best_path, make_wrench_link
+from hiltestbed.diagnosis.recorded import dynamics_link
 from hiltestbed.inference.likelihood import Likelihood, independent
 from hiltestbed.inference.model import Hypothesis
 from hiltestbed.inference.residuals import Changes, Gram, RunResiduals
@@ -88,7 +85,7 @@ def test_above_its_floor_a_run_counts_by_its_share_and_below_by_its_square(
     healthy: MeasuredDataset,
 ) -> None:
     """-2 log of the normal density, maximised over a variance that is not below 1."""
-    model = LinkModel(dynamics(lay_out(healthy), [400] * 6))
+    model = LinkModel(dynamics_link(lay_out(healthy), [400] * 6))
     likelihood = Likelihood(model, np.full(len(model.runs), 100.0))
     for level in (0.5, 1.0, 3.0):
         x = level * white(1)[0][0][:100]
@@ -120,7 +117,7 @@ def test_scalar_products_give_the_squares_of_what_is_moved() -> None:
 def test_errors_of_a_recorded_force_leave_the_motion_white(healthy: MeasuredDataset) -> None:
     """Forces with white errors, integrated: the innovations are white, with a variance of 1."""
     layout, rng = lay_out(healthy), np.random.default_rng(1)
-    link = dynamics(layout, layout.rows)
+    link = dynamics_link(layout, layout.rows)
     sigma = 5.0
     variance = [np.full((r.rows, 6), sigma**2) for r in link.runs]
     filtered, gains = link.with_input_errors(variance), link._gains()
@@ -149,12 +146,8 @@ def test_a_delay_that_varies_has_the_likelihood_of_its_variance(healthy: Measure
         model.members, model.link.predict([(i, of.each()) for i in model.members]), strict=True
     ):
         mean, ratio = model._spread(i, shown, of.each())
-        aside, left = model._aside_of(i), model.link.runs[i].measured - mean
+        columns, left = model._noise(i).columns, model.link.runs[i].measured - mean
         assert ratio is not None
-        assert aside is not None
-        columns, shared = aside._terms
-        assert columns is not None
-        assert shared is None
         for c in range(6):
             before, after = (
                 np.eye(len(mean)) + (w[:, None] * columns[:, c]) @ (w[:, None] * columns[:, c]).T

@@ -297,16 +297,12 @@ def test_a_command_stamped_late_begins_with_the_approach() -> None:
 def test_an_interpretation_can_be_taken_back() -> None:
     """Else a search that takes one up under a wrong cause keeps it under the right one."""
     link = contact_link(seed=None)
-
-    def reading(x: WrenchLink) -> tuple[object, ...]:
-        return x.lever, x.blunt, x.ring, x.grid, x.exact
-
     others = [other for group in link.interpretations() for other in group]
     assert others
     for other in others:
-        assert reading(other) != reading(link)
-        back = [reading(x) for group in other.interpretations() for x in group]
-        assert reading(link) in back
+        assert other.reads != link.reads
+        back = [x.reads for group in other.interpretations() for x in group]
+        assert link.reads in back
 
 
 def test_an_unknown_rate_is_worth_a_tick_of_the_damping_force() -> None:

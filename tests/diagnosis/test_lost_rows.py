@@ -4,19 +4,18 @@ them, and a link of which too little is left is not judged.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hiltestbed import load_scenario
-from hiltestbed.diagnosis.bridged import GAP_SIGMA, bridged
 from hiltestbed.diagnosis.find import judge
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.lacking import too_little
-from hiltestbed.diagnosis.links.base import Lane, ModelLink
+from hiltestbed.diagnosis.recorded import input_variance
 from hiltestbed.frames import Array
+from hiltestbed.measured.clock import bend, to_ticks
 from hiltestbed.measured.record import MAX_BRIDGED, Record
 from tests.slow import slow
 
@@ -24,7 +23,6 @@ from .made import link_run
 from .recorded import drawn
 
 H, ROWS = 1e-3, 1200
-NOMINAL = link_run(load_scenario("02-bumper"), ROWS, 1e-6)
 
 
 def record(pose: Array, lost: np.ndarray) -> Record:
@@ -55,41 +53,36 @@ def test_a_short_gap_of_a_pose_lies_on_its_motion_and_a_long_one_is_unknown() ->
     assert not long.only_short_gaps("pose_act")
 
 
-class Integral(ModelLink):
-    """A link whose output is its wrench, integrated twice."""
-
-    name, channels = "integral", ("fx", "fy", "fz", "tx", "ty", "tz")
-
-    def __init__(self, wrenches: Sequence[Array]) -> None:
-        self.wrenches, self.runs = wrenches, [NOMINAL]
-
-    def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
-        return [H * H * np.cumsum(np.cumsum(self.wrenches[i], axis=0), axis=0) for i, _ in lanes]
-
-
-def test_errors_of_bridged_samples_are_as_large_as_they_are_said_to_be() -> None:
-    """White noise of 2 N on a half sine, one row in ten lost, integrated twice: the error at the
-    end over its standard deviation is 1 in the rms.
+def test_errors_between_the_rows_of_a_slower_log_are_as_large_as_they_are_said_to_be() -> None:
+    """White noise of 2 N on a half sine, one row in four ticks, integrated twice: the error at the
+    end over its standard deviation. The noise of a row counts three times on the lines beside it,
+    each of the three ticks between has its own: 9 + 3, where 3 times 1 + 4 are said.
     """
-    rng, noise = np.random.default_rng(5), 2.0
-    t = H * np.arange(ROWS)
+    rng, noise, stride = np.random.default_rng(5), 2.0, 4
+    t = np.asarray(H * np.arange(ROWS), dtype=float)
     force = np.outer(200.0 * np.sin(np.pi * t / t[-1]), np.ones(6))
     ratios = []
     for _ in range(40):
         read = force + noise * rng.standard_normal(force.shape)
-        lost = rng.random(ROWS) < 0.1
-        lost[:8] = lost[-8:] = False
-        rows = np.flatnonzero(~lost)
-        filled = np.column_stack([np.interp(np.arange(ROWS), rows, c[rows]) for c in read.T])
-        (run,) = bridged(
-            [NOMINAL], Integral, [filled], [lost], [np.zeros_like(force)], np.full(6, noise)
-        )
-        assert run.shared is not None
-        error = Integral([filled]).predict([(0, ())])[0] - Integral([read]).predict([(0, ())])[0]
-        deviation = np.sqrt((run.shared[-1] ** 2).sum(axis=1)) / GAP_SIGMA
-        ratios.append(error[-1] / deviation)
-    # 240 ratios: an rms of 1 is found to 5 %, and that of 40 draws to 11 %
-    assert float(np.sqrt(np.mean(np.square(ratios)))) == pytest.approx(1.0, abs=0.2)
+        data, valid, bends = np.empty((ROWS, 6)), np.empty((ROWS, 6), bool), np.empty((ROWS, 6))
+        for j in range(6):
+            rows = t[::stride], read[::stride, j]
+            data[:, j], valid[:, j] = to_ticks(*rows, ROWS, H, stride * H)
+            bent = bend(*rows, data[:, j], valid[:, j], H)
+            assert bent is not None
+            bends[:, j] = bent
+        group = "wrench_comp"
+        log = Record(
+            0, Path("run.csv"), t, {group: data}, {group: valid},
+            sample_rate=1.0 / (stride * H), bends={group: bends},
+        )  # fmt: skip
+        lasting = np.arange(ROWS, 0, -1)[:, None]
+        variance = input_variance(log, group, np.full(6, noise))
+        error = np.sum(lasting * (log.filled(group) - read), axis=0)
+        ratios.append(error / np.sqrt(np.sum(lasting**2 * variance, axis=0)))
+    # 240 ratios: their rms is found to 5 %
+    rms = float(np.sqrt(np.mean(np.square(ratios))))
+    assert rms == pytest.approx(np.sqrt(12.0 / 15.0), abs=0.15)
 
 
 class Seen:

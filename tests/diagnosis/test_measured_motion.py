@@ -14,12 +14,12 @@ import pytest
 from scipy.signal import savgol_coeffs
 
 import hiltestbed
-from hiltestbed.diagnosis.layout import DatasetLayout, lay_out
+from hiltestbed.diagnosis.layout import lay_out
 from hiltestbed.diagnosis.link_model import LinkModel
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.path_noise import smoothed_noise
-from hiltestbed.diagnosis.paths import best_path, make_wrench_link
-from hiltestbed.diagnosis.readings import choose_lever
+from hiltestbed.diagnosis.paths import best_path, choose_lever, make_wrench_link
+from hiltestbed.diagnosis.recorded import DatasetLayout
 from hiltestbed.diagnosis.settings import SMOOTHING_ROWS
 from hiltestbed.inference.model import Hypothesis
 from hiltestbed.measured import load_dataset
@@ -99,7 +99,7 @@ def test_what_smoothing_cuts_off_is_known_up_to_its_own_share(tmp_path: Path) ->
     passed = float(
         savgol_coeffs(SMOOTHING_ROWS, 3) @ np.cos(2.0 * math.pi * WAVE * np.arange(-15, 16) / RATE)
     )
-    ((unknown,),) = best_path(layout, None).path.unknown
+    ((unknown,),) = best_path(layout, None).unknown
     inside = slice(300, 1100)
     size = float(unknown[inside, 2] @ wave[inside] / (wave[inside] @ wave[inside]))
     assert size == pytest.approx(1e-4 * passed * (1.0 - passed), rel=0.01)
@@ -141,7 +141,7 @@ def test_a_bend_of_a_commanded_motion_that_smoothing_cuts_off_is_doubtful(tmp_pa
     force = np.where(place > 0.0, STIFFNESS * place + DAMPING * SPEED * (t < stop), 0.0)
     layout = layout_of(tmp_path, t, place, force, 5e-7)
     off = link_of(layout).shown(0)[:, 2] - force
-    path = smoothed_noise(layout, best_path(layout, None).path, commanded=True)[0][:, 2]
+    path = smoothed_noise(layout, best_path(layout, None), commanded=True)[0][:, 2]
     noise = np.hypot(FORCE_NOISE, path)
     near = np.abs(t - stop) * RATE < SMOOTHING_ROWS
     assert np.max(np.abs(off[near])) > 3.0

@@ -9,7 +9,7 @@ import pytest
 
 from hiltestbed.diagnosis.investigate import with_other_clock
 from hiltestbed.diagnosis.links import Timing, WrenchLink
-from hiltestbed.diagnosis.readings import choose_lever, choose_ring, choose_steps
+from hiltestbed.diagnosis.paths import choose_lever, choose_ring, choose_steps
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.scenario import scenario_from
 
@@ -32,10 +32,10 @@ def sliding(lever: float) -> WrenchLink:
     path[:, 0] = 0.02 * np.sin(7.0 * H * np.arange(len(path)))
     sigma = np.tile([NOISE] * 3 + [TORQUE_NOISE] * 3, (len(path), 1))
     link = WrenchLink([link_run(s, len(path), sigma, path[:, 2] > 0.0)], [path])
-    shown = link.interpreted(ACTS_AT).shown(0, [effect("sensor.delay", delay=LATE)])
+    shown = link.interpreted(lever=ACTS_AT).shown(0, [effect("sensor.delay", delay=LATE)])
     return reread(
         link, [shown + sigma * np.random.default_rng(3).standard_normal(shown.shape)]
-    ).interpreted(lever)
+    ).interpreted(lever=lever)
 
 
 def test_without_friction_there_is_no_lever_to_choose() -> None:
@@ -55,7 +55,7 @@ def test_whether_a_latch_resists_turning_is_what_the_torques_bear_out(ring: floa
     link = WrenchLink([link_run(scenario_from(told), len(path), sigma)], [path])
     shown = link.interpreted(ring=ring).shown(0)
     data = reread(link, [shown + sigma * np.random.default_rng(3).standard_normal(shown.shape)])
-    assert choose_ring(data).ring == ring
+    assert choose_ring(data).reads.ring == ring
 
 
 def mounted(instants: int, damping: float | None = None) -> WrenchLink:
@@ -86,9 +86,9 @@ def test_a_mount_is_right_whatever_its_steps_where_the_data_bear_that_out() -> N
     )
     missed = np.abs(link.shown(0) - true).max()
     assert np.abs(link.interpreted(exact=True).shown(0) - true).max() < 0.01 * missed
-    assert choose_steps(reread(link, [true])).exact
-    assert not choose_steps(reread(link, [link.shown(0)])).exact
-    assert not choose_steps(contact_link()).exact
+    assert choose_steps(reread(link, [true])).reads.exact
+    assert not choose_steps(reread(link, [link.shown(0)])).reads.exact
+    assert not choose_steps(contact_link()).reads.exact
 
 
 def test_a_touch_that_a_facilitys_steps_put_elsewhere_is_no_departure() -> None:

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.diagnosis.explain import Explanation
-from hiltestbed.diagnosis.find import cause_of
-from hiltestbed.diagnosis.heldout import heldout
+from hiltestbed.diagnosis.find import cause_of, heldout
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.verdict import Named, decide
 
@@ -137,10 +136,11 @@ def test_stages_leave_what_they_are_given_as_it_is() -> None:
 
 
 def test_the_gain_on_left_out_runs_is_that_of_the_cause_and_not_of_its_parameters() -> None:
-    gain = heldout(explained(effect("contact.preload", force=6.0)))
+    e = explained(effect("contact.preload", force=6.0))
+    gain = heldout(e, e.fit)
     assert gain is not None
     assert gain.significant
     assert gain.rms_after == pytest.approx(1.0, abs=0.05)
     assert gain.rms_before > 10.0
     assert gain.placebo_reduction < 0.5 * gain.reduction
-    assert heldout(healthy()) is None
+    assert heldout(healthy(), healthy().fit) is None

@@ -196,12 +196,8 @@ def test_a_loss_is_stated_and_does_not_stop(tmp_path: Path, case: str) -> None:
 def test_masks_mark_what_was_lost(tmp_path: Path) -> None:
     table = bounce.columns()
     _nan_stretch(table)
-    _clip(table)
     record = load_dataset(bounce.write_dataset(tmp_path, table)).runs[0].record
     assert np.flatnonzero(~record.measured("wrench_meas.fz")).tolist() == list(range(100, 140))
-    level = 0.7 * bounce.PEAK
-    part = record.clipped["wrench_meas"][:, 2]
-    assert part.sum() == (record.column("wrench_meas.fz") == level).sum() > 20
     assert np.isfinite(record.filled("wrench_meas")).all()
 
 

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from hiltestbed import load_scenario
-from hiltestbed.diagnosis.bridged import kink_errors
+from hiltestbed.diagnosis.recorded import kink_errors
 from hiltestbed.measured.clock import bend, check_clock, start_of_run, to_ticks, unrolled
 from hiltestbed.measured.reading import read_record
 from hiltestbed.measured.record import Record

@@ -5,21 +5,19 @@ between record and replay.
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import believed_contacts, contact_rows
-from hiltestbed.contact.phases import latch_limits
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects import Effect
 from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.platform.plant import alike
-from hiltestbed.replay import Felt, creep_of, replay_wrench
+from hiltestbed.replay import Felt, replay_wrench
 from hiltestbed.replay.wrench import Lane
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.sensor.parameters import SensorParameters
@@ -119,18 +117,8 @@ def felt(recorded: Recorded) -> Felt:
     for i in range(len(before)):
         pose_step(recorded["pose_act"][i, 0], recorded["twist_act"][i, 0], -first.tick, before[i])
     driven = first.rig.platform.tracking == "servo"
-    return Felt(
-        recorded["pose_act"],
-        before,
-        first.tick,
-        sides_of(first.mechanism).geometry,
-        np.array([s.mechanism.captured for s in recorded.scenarios]),
-        latch_limits(recorded.scenarios),
-        MountDynamics.of(recorded.scenarios),
-        first.substeps,
-        least_creep=creep_of(first),
-        rates=recorded["twist_act"] if driven else None,
-    )
+    rates = recorded["twist_act"] if driven else None
+    return replace(Felt.along(recorded.scenarios, recorded["pose_act"], rates), before=before)
 
 
 def lane(s: Scenario, run: int, effects: Sequence[Effect] | None = None) -> Lane:

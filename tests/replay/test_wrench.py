@@ -100,6 +100,13 @@ def test_every_effect_of_the_contact_acts_under_a_servo_too() -> None:
     assert (errors(recorded, readings(recorded)) < np.where(between, 2.0 * DRIVEN, DRIVEN)).all()
 
 
+def test_a_soft_frame_that_rings_on_does_not_touch_what_is_apart() -> None:
+    """It swings by millimetres towards surfaces whose distance matters as exactly as in contact."""
+    frame = {"kind": "frame.mode", "frequency": 10.0, "damping_ratio": 0.03, "mass": 5.0}
+    recorded = record([scenario("bumper", changes={"effects": [frame], "duration": 1.0})])
+    assert errors(recorded, readings(recorded)).max() < SOLVED
+
+
 def test_every_effect_of_the_sensor_and_of_the_record_acts_in_the_replay_as_in_the_loop() -> None:
     recorded = record(possible("probe and cone with latch", SENSOR))
     assert errors(recorded, readings(recorded)).max() < STEP

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.explain import Explanation
+from hiltestbed.diagnosis.explain import Explanation, effects_of
 from hiltestbed.diagnosis.learned.families import SensorCurve
 from hiltestbed.diagnosis.learned.learn import Law, carries_over, learn
-from hiltestbed.diagnosis.learned.words import equation, resembling
+from hiltestbed.diagnosis.learned.words import equation
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.result import Heldout, Learned, LearnedCurve
+from hiltestbed.diagnosis.result import Learned, LearnedCurve
 from hiltestbed.diagnosis.settings import MIN_EXPLAINED
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
@@ -22,22 +22,28 @@ from hiltestbed.sensor.effects import WRENCH_AXES
 
 MAX_SAMPLES = 3000  # chosen: drawn under a curve
 DIGITS = 6  # significant, of the numbers in a scenario
+MAX_RESEMBLING = 3  # named effects that are listed
+# derived: cosine above which a named effect removes four fifths of the square of what a law removes
+MIN_RESEMBLANCE = 0.9
+RESEMBLING_LINKS = ("contact", "sensor", "platform")
 
 
 def learned_on(found: Explanation, known: Sequence[Effect]) -> tuple[Learned, Effect] | None:
     """The law learned on a link that leaves more than noise, beside ``known`` effects, and its
     effect as links take it, or None.
     """
-    result = learn(found.residual(), known)
+    residual = found.residual()
+    result = learn(residual, known)
     if result is None:
         return None
     law, gain = result
-    share = _share(gain)
     effect = law.effect
-    given = {name: _rounded(value) for name, value in effect.parameters().items() if value}
+    # of the departure, in mean square beyond the noise
+    before, after = gain.rms_before**2 - 1.0, max(gain.rms_after**2 - 1.0, 0.0)
+    share = 1.0 - after / before if before > 0.0 else 0.0
     learned = Learned(
         effect.kind,
-        given,
+        {name: _rounded(value) for name, value in effect.parameters().items() if value},
         effect.link,
         law.numbers,
         gain,
@@ -45,15 +51,9 @@ def learned_on(found: Explanation, known: Sequence[Effect]) -> tuple[Learned, Ef
         carries_over(gain) and share >= MIN_EXPLAINED,
         equation(law),
         resembling(found, law),
-        tuple(_curves(found.residual(), law)),
+        tuple(_curves(residual, law)),
     )
     return learned, effect
-
-
-def _share(gain: Heldout) -> float:
-    """Share of the departure that is explained, in mean square beyond the noise."""
-    before, after = gain.rms_before**2 - 1.0, max(gain.rms_after**2 - 1.0, 0.0)
-    return 1.0 - after / before if before > 0.0 else 0.0
 
 
 def _rounded(value: object) -> object:
@@ -62,57 +62,57 @@ def _rounded(value: object) -> object:
     return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
 
 
+def resembling(found: Explanation, law: Law) -> tuple[str, ...]:
+    """Named effects that, fitted alone, remove from the residual what the law does: by the cosine
+    between the two reductions.
+    """
+    residual = found.residual()
+    before, after, null = residual.many([law.known, [*law.known, law.effect], ()])
+    taken, alike = before - after, {}
+    for (effect,) in map(effects_of, found.singles()):
+        if effect.link in RESEMBLING_LINKS:
+            other = null - residual([effect])
+            length = float(np.linalg.norm(taken) * np.linalg.norm(other))
+            alike[effect.kind] = float(taken @ other) / length if length > 0.0 else 0.0
+    near = sorted((k for k in alike if alike[k] > MIN_RESEMBLANCE), key=lambda k: -alike[k])
+    return tuple(near[:MAX_RESEMBLING])
+
+
 def _curves(residual: Residual, law: Law) -> list[LearnedCurve]:
     """Each curve, with samples of its own value plus the residual of the whole law."""
-    link = residual.link
+    link, family = residual.link, law.family
+    pairs = {b.name: np.array(c) for b, c in zip(family.blocks, law.curves, strict=True) if c}
+    units = {}
+    for name in pairs:
+        over, _, unit = type(law.effect).unit(name).partition(", ")
+        units[name] = over, unit
     if not isinstance(link, WrenchLink):
-        first, second = type(law.effect).unit("step").split(", ")
-        return [
-            LearnedCurve(
-                "step",
-                np.array(law.family.curves(law.values, law.choices)[0]),
-                np.zeros((0, 2)),
-                (first, second),
-            )
-        ]
-    axis = WRENCH_AXES.index(law.family.axis) if isinstance(law.family, SensorCurve) else 2
-    pairs = {
-        b.name: np.array(c)
-        for b, c in zip(law.family.blocks, law.family.curves(law.values, law.choices), strict=True)
-        if c
-    }
-    effects = [*law.known, law.effect]
-    left, places = [], {name: [] for name in pairs}
+        return [LearnedCurve(n, c, np.zeros((0, 2)), units[n]) for n, c in pairs.items()]
+    axis = WRENCH_AXES.index(family.axis) if isinstance(family, SensorCurve) else 2
+    left: list[Array] = []
+    places: dict[str, list[Array]] = {name: [] for name in pairs}
     for i in residual.runs:
-        rows = np.flatnonzero(link.runs[i].touching & np.isfinite(link.runs[i].sigma[:, axis]))
-        left.append((link.runs[i].measured - link.shown(i, effects))[rows, axis])
-        late = np.clip(
-            rows - round(link.lateness(i, law.known) / link.runs[i].scenario.tick),
-            0,
-            link.runs[i].rows - 1,
-        )
-        depth = link.penetration(i)
-        held = link.runs[i].scenario.mechanism.captured
-        rate = np.gradient(depth, link.runs[i].scenario.tick)
+        run, scenario = link.runs[i], link.runs[i].scenario
+        rows = np.flatnonzero(run.touching & np.isfinite(run.sigma[:, axis]))
+        left.append((run.measured - link.shown(i, [*law.known, law.effect]))[rows, axis])
+        late = round(link.lateness(i, law.known) / scenario.tick)
+        depth, felt = link.penetration(i), np.clip(rows - late, 0, run.rows - 1)
+        rate = np.gradient(depth, scenario.tick)
         series = {"penetration": depth, "rate": rate, "spring": depth, "spring_rate": rate}
         if "stretch" in pairs:
-            series["stretch"] = stretches(
-                depth, pairs["stretch"][0, 0], pairs["stretch"][-1, 0], held
-            )
+            ends = pairs["stretch"][0, 0], pairs["stretch"][-1, 0]
+            series["stretch"] = stretches(depth, *ends, scenario.mechanism.captured)
         for name, found in places.items():
-            found.append(
-                link.shown(i, law.known)[rows, axis] if name == "reading" else series[name][late]
-            )
+            reading = name == "reading"
+            found.append(link.shown(i, law.known)[rows, axis] if reading else series[name][felt])
     remains = np.concatenate(left)
-    step = max(1, len(remains) // MAX_SAMPLES)
-    out = []
+    step, out = max(1, len(remains) // MAX_SAMPLES), []
     for name, curve in pairs.items():
         x = np.concatenate(places[name])
-        first, second = type(law.effect).unit(name).split(", ")
         inside = np.interp(x, curve[:, 0], curve[:, 1]) + remains
         if name.startswith("spring"):  # a factor on a vanishing force cannot be determined
             inside = np.full(len(x), np.nan)
-        out.append(LearnedCurve(name, curve, np.column_stack([x, inside])[::step], (first, second)))
+        out.append(LearnedCurve(name, curve, np.column_stack([x, inside])[::step], units[name]))
     return out
 
 

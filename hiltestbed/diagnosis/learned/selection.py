@@ -9,15 +9,23 @@ that leaving a run out takes the normal equations of the others and no replay.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from hiltestbed.diagnosis.settings import KNOT_SMOOTHING, MIN_HELDOUT_GAIN
 from hiltestbed.frames import Array
 
+# chosen: share of the residual on left-out runs (geometric mean) by which a further knot, curve or
+# cause has to lower it
+MIN_HELDOUT_GAIN = 0.02
+LEAST_LOSS = -math.log(1.0 - MIN_HELDOUT_GAIN)  # the same of the mean logarithm of the rms
+# chosen: weight of a squared second difference, of the mean square response of a knot; for knots
+# without data
+KNOT_SMOOTHING = 1e-4
 # chosen: of a squared first difference of a part, relative to a squared second one
 SLOPE_COST = 3.0
 # chosen: of a squared value, relative to a squared second difference, so that every value is
@@ -33,10 +41,10 @@ class Block:
         name: the parameter of the effect.
         places: (K,) abscissae, symmetric about 0 or on one side of it. zero: whether the curve must
             be 0 at 0.
-        part: whether it is a factor on another force, which is extrapolated as a constant, and not
-            a force, extrapolated with its slope.
         levels: numbers of knots, K at most, each one more than a divisor of K - 1; odd if the knots
             lie on both sides of 0.
+        part: whether it is a factor on another force, which is extrapolated as a constant, and not
+            a force, extrapolated with its slope.
     """
 
     name: str
@@ -51,8 +59,7 @@ class Block:
         return bool(self.places[0] < 0.0 < self.places[-1])
 
 
-@dataclass(frozen=True)
-class Choice:
+class Choice(NamedTuple):
     """The form of a block's curve: its number of knots, 1 for a constant; odd: whether it is
     antisymmetric about 0.
     """
@@ -65,15 +72,14 @@ class Choice:
         return (finest - 1) // max(1, self.knots - 1)
 
 
+Choices = tuple[Choice | None, ...]  # of each block; None: it is left out
+
+
 def choices(block: Block) -> list[Choice]:
     """All forms that a block allows, those with the fewest numbers first."""
-    odds = (True, False) if not block.part else (False,)
-    out = [
-        Choice(n, odd)
-        for n in block.levels
-        for odd in odds
-        if odd or block.part or block.two_sided or not block.zero
-    ]
+    free = block.part or block.two_sided or not block.zero
+    odds = (False,) if block.part else (True, False) if free else (True,)
+    out = [Choice(n, odd) for n in block.levels for odd in odds]
     return sorted(out, key=lambda c: (shape_of(block, c).shape[1], c.knots))
 
 
@@ -92,9 +98,13 @@ def shape_of(block: Block, choice: Choice | None) -> Array:
         half = choice.knots // 2
         return hats[:, ::-1][:, :half] - hats[:, :half]
     if choice.odd or block.zero:
-        keep = np.abs(coarse) > 1e-9 * (coarse[-1] - coarse[0])
-        hats = hats[:, keep]
+        return hats[:, np.abs(coarse) > 1e-9 * (coarse[-1] - coarse[0])]
     return hats
+
+
+def shape(blocks: Sequence[Block], chosen: Choices) -> Array:
+    """``(P, Q)`` basis of all blocks."""
+    return np.asarray(block_diag(*(shape_of(b, c) for b, c in zip(blocks, chosen, strict=True))))
 
 
 def roughness(blocks: Sequence[Block]) -> Array:
@@ -103,159 +113,98 @@ def roughness(blocks: Sequence[Block]) -> Array:
     """
     parts = []
     for b in blocks:
-        second = np.diff(np.eye(len(b.places)), 2, axis=0)
-        first = np.diff(np.eye(len(b.places)), axis=0) if b.part else np.zeros_like(second)
-        parts.append(
-            second.T @ second + SLOPE_COST * first.T @ first + VALUE_COST * np.eye(len(b.places))
-        )
+        values = np.eye(len(b.places))
+        second, first = np.diff(values, 2, axis=0), b.part * np.diff(values, axis=0)
+        parts.append(second.T @ second + SLOPE_COST * first.T @ first + VALUE_COST * values)
     return np.asarray(block_diag(*parts))
 
 
-Choices = tuple[Choice | None, ...]  # of each block
-
-
 @dataclass(frozen=True)
-class Normal:
-    """The normal equations of each run: J'J (R, P, P), J'r (R, P), r'r (R,) and the number of
-    samples (R,).
+class Linear:
+    """A family linearised about a law: residual (M,) and Jacobian (M, P) of each run, in the rows
+    that count.
     """
 
-    squares: Array
-    gradients: Array
-    left: Array
-    samples: Array
+    residuals: Sequence[Array]
+    jacobians: Sequence[Array]
+
+    @cached_property
+    def squares(self) -> Array:
+        """(R, P, P) J'J of each run."""
+        return np.array([j.T @ j for j in self.jacobians])
+
+    @cached_property
+    def gradients(self) -> Array:
+        """(R, P) J'r of each run."""
+        pairs = zip(self.residuals, self.jacobians, strict=True)
+        return np.array([r @ j for r, j in pairs])
+
+    def solve(
+        self, runs: Sequence[int], basis: Array, rough: Array, start: Array | None = None
+    ) -> Array:
+        """``(P,)`` change of the values that fits the ``runs`` best within the ``basis`` (P, Q);
+        start: (P,) the law that it changes.
+        """
+        within = basis.T @ self.squares[list(runs)].sum(axis=0) @ basis
+        pull = KNOT_SMOOTHING * float(np.mean(np.diag(within))) * (basis.T @ rough)
+        aim = -(basis.T @ self.gradients[list(runs)].sum(axis=0))
+        aim = aim if start is None else aim - pull @ start
+        return np.asarray(basis @ np.linalg.lstsq(within + pull @ basis, aim, rcond=1e-13)[0])
+
+    def carried(self, basis: Array, rough: Array) -> float:
+        """Mean over the runs of the logarithm of the rms, each run left out of the fit."""
+        total, runs = 0.0, range(len(self.residuals))
+        for i in runs:
+            change, r = np.zeros(len(basis)), self.residuals[i]
+            if basis.shape[1]:
+                change = self.solve([j for j in runs if j != i], basis, rough)
+            least = float(r @ r)
+            left = least + (2.0 * self.gradients[i] + self.squares[i] @ change) @ change
+            total += 0.5 * math.log(max(left, 1e-12 * least) / max(1, len(r)))
+        return total / len(runs)
 
 
-@dataclass(frozen=True)
-class Selected:
-    """The form of every block, and the residual on left-out runs: mean over them of the logarithm
-    of the rms.
+class Selected(NamedTuple):
+    """The form of every block, the residual on left-out runs (see :meth:`Linear.carried`), and how
+    many numbers it takes.
     """
 
     choices: Choices
     carried: float
+    numbers: int
 
 
-def normal_equations(residuals: Sequence[Array], jacobians: Sequence[Array]) -> Normal:
-    """The normal equations of one residual (M,) and one Jacobian (M, P) a run."""
-    return Normal(
-        np.array([np.einsum("mi,mj->ij", j, j) for j in jacobians]),
-        np.array([np.einsum("mi,m->i", j, r) for j, r in zip(jacobians, residuals, strict=True)]),
-        np.array([float(r @ r) for r in residuals]),
-        np.array([max(1, len(r)) for r in residuals]),
-    )
-
-
-def shape(blocks: Sequence[Block], chosen: Choices) -> Array:
-    """``(P, Q)`` basis of all blocks."""
-    return np.asarray(block_diag(*(shape_of(b, c) for b, c in zip(blocks, chosen, strict=True))))
-
-
-def solve(
-    normal: Normal, runs: Sequence[int], basis: Array, rough: Array, start: Array | None = None
-) -> Array:
-    """``(P,)`` change of the values that fits the ``runs`` best within the ``basis`` (P, Q); start:
-    (P,) the law that it changes.
-    """
-    squares, gradient = (
-        normal.squares[list(runs)].sum(axis=0),
-        normal.gradients[list(runs)].sum(axis=0),
-    )
-    within = basis.T @ squares @ basis
-    weight = KNOT_SMOOTHING * float(np.mean(np.diag(within)))
-    pull = np.zeros(basis.shape[1]) if start is None else weight * (basis.T @ rough @ start)
-    found = np.linalg.lstsq(
-        within + weight * (basis.T @ rough @ basis), -(basis.T @ gradient) - pull, rcond=1e-13
-    )[0]
-    return np.asarray(basis @ found)
-
-
-def left_by(normal: Normal, run: int, change: Array) -> float:
-    """Mean square of a run's residual after a change of the values."""
-    total = (
-        normal.left[run]
-        + 2.0 * normal.gradients[run] @ change
-        + change @ normal.squares[run] @ change
-    )
-    return float(max(total, 1e-12 * normal.left[run]) / normal.samples[run])
-
-
-def carried_by(normal: Normal, basis: Array, rough: Array) -> float:
-    """Mean over the runs of the logarithm of the rms, each run left out of the fit."""
-    runs = range(len(normal.left))
-    if basis.shape[1] == 0:
-        return float(
-            np.mean([0.5 * math.log(left_by(normal, i, np.zeros(len(basis)))) for i in runs])
-        )
-    return float(
-        np.mean(
-            [
-                0.5
-                * math.log(
-                    left_by(normal, i, solve(normal, [j for j in runs if j != i], basis, rough))
-                )
-                for i in runs
-            ]
-        )
-    )
-
-
-def select(normal: Normal, blocks: Sequence[Block]) -> Selected:
+def select(linear: Linear, blocks: Sequence[Block]) -> Selected:
     """Curve by curve and knot by knot, as long as the residual on left-out runs falls by
-    MIN_HELDOUT_GAIN.
+    MIN_HELDOUT_GAIN; then with fewer numbers, as long as it rises by less than that.
     """
-    search = _Search(normal, blocks)
-    best: Choices = (None,) * len(blocks)
-    carried = search.carried(best)
-    while True:
-        found = [(search.carried(t), t) for t in search.beside(best)]
-        lowest, chosen = min(found, key=lambda item: item[0])
-        if lowest > carried + math.log(1.0 - MIN_HELDOUT_GAIN):
-            break
-        best, carried = chosen, lowest
-    return _slimmed(search, best, carried)
+    shapes = [{c: shape_of(b, c) for c in (None, *choices(b))} for b in blocks]
+    rough, known = roughness(blocks), dict[Choices, Selected]()
 
+    def scored(chosen: Choices) -> Selected:
+        if chosen not in known:
+            parts = (s[c] for s, c in zip(shapes, chosen, strict=True))
+            basis = np.asarray(block_diag(*parts))
+            known[chosen] = Selected(chosen, linear.carried(basis, rough), basis.shape[1])
+        return known[chosen]
 
-def _slimmed(search: _Search, best: Choices, carried: float) -> Selected:
-    """With fewer numbers, as long as the residual rises by less than that."""
-    limit = carried - math.log(1.0 - MIN_HELDOUT_GAIN)
-    while True:
-        fewer = [
-            t
-            for t in search.beside(best, leave_out=True)
-            if search.numbers(t) < search.numbers(best)
-        ]
-        near = [t for t in fewer if search.carried(t) < limit]
-        if not near:
-            return Selected(best, search.carried(best))
-        best = min(near, key=lambda t: (search.numbers(t), search.carried(t)))
-
-
-class _Search:
-    """The residual of every choice, computed once."""
-
-    def __init__(self, normal: Normal, blocks: Sequence[Block]) -> None:
-        self._normal, self._rough = normal, roughness(blocks)
-        self._shapes = [{c: shape_of(b, c) for c in (None, *choices(b))} for b in blocks]
-        self._known: dict[Choices, float] = {}
-
-    def numbers(self, chosen: Choices) -> int:
-        """How many numbers a choice has."""
-        return sum(s[c].shape[1] for s, c in zip(self._shapes, chosen, strict=True))
-
-    def carried(self, chosen: Choices) -> float:
-        """`carried_by` of a choice, computed once."""
-        if chosen not in self._known:
-            basis = np.asarray(
-                block_diag(*(s[c] for s, c in zip(self._shapes, chosen, strict=True)))
-            )
-            self._known[chosen] = carried_by(self._normal, basis, self._rough)
-        return self._known[chosen]
-
-    def beside(self, chosen: Choices, leave_out: bool = False) -> list[Choices]:
+    def beside(chosen: Choices, leave_out: bool) -> Iterator[Selected]:
         """The choices that differ from one in one block."""
-        out = []
-        for i, shapes in enumerate(self._shapes):
-            others = [c for c in shapes if c != chosen[i] and (c is not None or leave_out)]
-            out += [(*chosen[:i], c, *chosen[i + 1 :]) for c in others]
-        return out
+        for i, own in enumerate(shapes):
+            for c in own:
+                if c != chosen[i] and (leave_out or c is not None):
+                    yield scored((*chosen[:i], c, *chosen[i + 1 :]))
+
+    best = scored((None,) * len(blocks))
+    while True:
+        found = min(beside(best.choices, False), key=lambda s: s.carried)
+        if found.carried > best.carried - LEAST_LOSS:
+            break
+        best = found
+    limit = best.carried + LEAST_LOSS
+    while True:
+        fewer = [s for s in beside(best.choices, True) if s.numbers < best.numbers]
+        fewer = [s for s in fewer if s.carried < limit]
+        if not fewer:
+            return best
+        best = min(fewer, key=lambda s: (s.numbers, s.carried))

@@ -53,7 +53,6 @@ class Timing(Effect):
         """Nothing: the link applies the shift itself."""
 
     def plus(self, other: Timing) -> Timing:
-        """The sum of both."""
         return Timing(
             **{name: value + getattr(other, name) for name, value in self.parameters().items()}
         )
@@ -72,8 +71,7 @@ class LinkRun:
             the measured contact, with its tail through the sensor.
         heavy: whether the noise has outliers, see :func:`hiltestbed.diagnosis.noise.softened`.
         nuisances: (N, C, D) nuisance terms, each at one standard deviation, see
-            :mod:`hiltestbed.diagnosis.nuisances`; None: there are none. shared: (N, C, D') further
-            ones, each with one amplitude in all channels.
+            :mod:`hiltestbed.diagnosis.nuisances`; None: there are none.
     """
 
     scenario: Scenario
@@ -82,12 +80,17 @@ class LinkRun:
     touching: np.ndarray
     heavy: bool = False
     nuisances: Array | None = None
-    shared: Array | None = None
 
     @property
     def rows(self) -> int:
-        """N."""
         return len(self.measured)
+
+    @property
+    def terms(self) -> Array:
+        """(N, C, D) nuisance terms, D = 0 where there are none."""
+        if self.nuisances is None:
+            return np.zeros((*self.measured.shape, 0))
+        return self.nuisances
 
     @property
     def weight(self) -> Array:
@@ -97,12 +100,7 @@ class LinkRun:
 
     def with_nuisances(self, terms: Array) -> LinkRun:
         """The same run with further nuisance ``terms`` (N, C, D)."""
-        return replace(
-            self,
-            nuisances=terms
-            if self.nuisances is None
-            else np.concatenate([self.nuisances, terms], axis=2),
-        )
+        return replace(self, nuisances=np.concatenate([self.terms, terms], axis=2))
 
 
 class ModelLink(ABC):
@@ -251,9 +249,12 @@ def whitening_filter(lags: Array) -> Array:
 def padded(arrays: Sequence[Array]) -> Array:
     """``(R, N, ...)`` of arrays of different length, the last row of each held."""
     longest = max(len(a) for a in arrays)
-    return np.stack(
-        [np.concatenate([a, np.repeat(a[-1:], longest - len(a), axis=0)]) for a in arrays]
-    )
+    return np.stack([padded_by(a, longest - len(a)) for a in arrays])
+
+
+def padded_by(values: Array, rows: int) -> Array:
+    """``values`` (N, ...) with the last one held for further ``rows``."""
+    return np.concatenate([values, np.repeat(values[-1:], rows, axis=0)])
 
 
 def moved(values: Array, rows: float) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
@@ -19,7 +20,7 @@ from hiltestbed.diagnosis.links.base import (
     smoothed,
     whitening_filter,
 )
-from hiltestbed.diagnosis.settings import BLOCK_ROWS, MODEL_ERROR
+from hiltestbed.diagnosis.settings import BLOCK_ROWS, CORRELATED_ROWS, MODEL_ERROR
 from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array
 from hiltestbed.replay import moves_linearly, replay_compensation
@@ -28,7 +29,6 @@ from hiltestbed.replay.wrench import shifted
 from hiltestbed.signals import GROUPS
 
 IMPULSE = 1e9  # [N] that exceeds any dead zone
-MEMORY_TOLERANCE = 1e-6  # chosen: of the largest response, below which it has decayed
 COLOUR_ORDER = 12  # of the filter that makes noise behind a compensation white
 RESPONSE_ROWS = 400  # chosen: within which the response to an impulse decays
 # of a straight line, whose slope has sqrt(12/(n^3 - n)) = 0.13 of the noise of a row
@@ -61,32 +61,25 @@ class CompensationLink(ModelLink):
         within a tick, so that the slope is the rate.
         """
         scenarios = [r.scenario for r in self.runs]
-        if (
-            "twist_act" in self._sources
-            or not any(reads_rates(s) for s in scenarios)
-            or all(moves_linearly(s) for s in scenarios)
-        ):
+        reads, linear = any(map(reads_rates, scenarios)), all(map(moves_linearly, scenarios))
+        if "twist_act" in self._sources or linear or not reads:
             return None
-        rates = [
-            central_rates(s, poses)
-            for s, poses in zip(scenarios, self._sources["pose_act"], strict=True)
-        ]
-        return CompensationLink(
-            self.runs, self.wrenches, {**self._sources, "twist_act": rates}
-        ).with_timing(self.timing)
+        pairs = zip(scenarios, self._sources["pose_act"], strict=True)
+        records = {**self._sources, "twist_act": [central_rates(s, poses) for s, poses in pairs]}
+        return CompensationLink(self.runs, self.wrenches, records).with_timing(self.timing)
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
-        run = np.arange(len(lanes))
-        scenarios = [self.runs[i].scenario for i, _ in lanes]
-        readings = padded([self._reading(i, effects) for i, effects in lanes])
-        records = {name: values[[i for i, _ in lanes]] for name, values in self._records.items()}
+        run = [i for i, _ in lanes]
         found = replay_compensation(
-            scenarios, [InputParameters.of(effects) for _, effects in lanes], records, readings, run
+            [self.runs[i].scenario for i in run],
+            [InputParameters.of(effects) for _, effects in lanes],
+            {name: values[run] for name, values in self._records.items()},
+            padded([self._reading(i, effects) for i, effects in lanes]),
+            np.arange(len(lanes)),
         )
-        shown = [wrench[: self.runs[i].rows] for wrench, (i, _) in zip(found, lanes, strict=True)]
         return [
-            self._between(i, wrench, self.timing_with(effects))
-            for wrench, (i, effects) in zip(shown, lanes, strict=True)
+            self._between(i, wrench[: self.runs[i].rows], self.timing_with(effects))
+            for wrench, (i, effects) in zip(found, lanes, strict=True)
         ]
 
     def _reading(self, i: int, effects: Effects) -> Array:
@@ -116,14 +109,14 @@ class CompensationLink(ModelLink):
 
     def noise_gain(self) -> float:
         """Factor on white noise of the readings in the first run; 1 where not linear."""
-        answer = self._answer()
+        answer = self._answer
         return 1.0 if answer is None else float(np.linalg.norm(answer))
 
     def colour(self) -> Array | None:
         """What the log alone adds to a reading passes through the compensation: its noise has the
         spectrum of the compensation's response to an impulse.
         """
-        answer = self._answer()
+        answer = self._answer
         if answer is None:
             return None
         n = len(answer)
@@ -137,22 +130,20 @@ class CompensationLink(ModelLink):
         return math.prod(smoothed(s / self.tick) for s in shifts)
 
     def passed(self, variance: Array) -> Array:
-        """(N, 6) variance of the output due to that of the readings, both (N, 6)."""
-        answer = self._answer()
+        """(N, 6) variance of the output due to that of the readings, both (N, 6); of what is not
+        linear it is taken to be alike over :data:`CORRELATED_ROWS`.
+        """
+        answer = self._answer
         if answer is None or not variance.any():
-            return variance
+            return variance if answer is not None else CORRELATED_ROWS * variance
         return np.asarray(lfilter(answer[RESPONSE_ROWS // 4 :] ** 2, 1.0, variance, axis=0))
 
-    def memory(self) -> float | None:
-        """[s] after which the first run has forgotten a reading; None where not linear."""
-        answer = self._answer()
-        if answer is None:
-            return None
-        lasting = np.flatnonzero(
-            np.abs(answer[RESPONSE_ROWS // 4 :]) > MEMORY_TOLERANCE * np.abs(answer).max()
-        )
-        return float(lasting[-1] + 1) * self.tick
+    @property
+    def linear(self) -> bool:
+        """Whether it responds linearly to the readings alone."""
+        return self._answer is not None
 
+    @cached_property
     def _answer(self) -> Array | None:
         """(RESPONSE_ROWS,) response of the first run to an impulse; None where not linear."""
         scenario = self.runs[0].scenario

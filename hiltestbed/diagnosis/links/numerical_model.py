@@ -108,29 +108,18 @@ class DynamicsLink(ModelLink):
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         run = np.array([i for i, _ in lanes])
-        departing = Departing(
-            [self.runs[i].scenario for i in run],
-            stack([DynamicsParameters.of(effects) for _, effects in lanes]),
-        )
+        departures = stack([DynamicsParameters.of(effects) for _, effects in lanes])
+        departing = Departing([self.runs[i].scenario for i in run], departures)
         places = [self.timing_with(effects) for _, effects in lanes]
-        tick = self.tick
         wrenches, driven = self._wrenches, run
         if any(place.before for place in places):
-            wrenches = np.stack(
-                [
-                    moved(self._wrenches[i], p.before / tick)
-                    for i, p in zip(run, places, strict=True)
-                ]
-            )
+            pairs = zip(run, places, strict=True)
+            wrenches = np.stack([moved(self._wrenches[i], p.before / self.tick) for i, p in pairs])
             driven = np.arange(len(lanes))
-        poses = flat_pose(
-            replay_model(departing, wrenches, driven, np.array([place.old for place in places]))
-        )
-        late = [place.delay / tick for place in places]
-        return [
-            moved(pose[: self.runs[i].rows], rows)
-            for pose, rows, i in zip(poses, late, run, strict=True)
-        ]
+        old = np.array([place.old for place in places])
+        poses = flat_pose(replay_model(departing, wrenches, driven, old))
+        each = zip(poses, places, run, strict=True)
+        return [moved(x[: self.runs[i].rows], p.delay / self.tick) for x, p, i in each]
 
 
 @njit(cache=True)

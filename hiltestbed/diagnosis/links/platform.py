@@ -17,6 +17,7 @@ from hiltestbed.diagnosis.links.base import (
     flat_pose,
     moved,
     padded,
+    padded_by,
     perturbed,
     smoothed,
 )
@@ -26,7 +27,7 @@ from hiltestbed.platform.effects.response import PlatformDelay
 from hiltestbed.platform.effects.tracking import PlatformFriction
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.replay import replay_platform
-from hiltestbed.replay.platform import WHOLE
+from hiltestbed.replay.stiction import ON_AN_INSTANT
 
 # chosen: ticks: uncertainty of the instant of a jump, since how a facility divides a tick is not
 # known
@@ -61,41 +62,30 @@ class PlatformLink(ModelLink):
         """(N, 6) of each lane, what the platform reaches on its commands as they are stamped."""
         out = []
         for place, (i, effects) in zip(self.places(lanes), lanes, strict=True):
-            turned = moved(
-                self._attitude[i], self.timing_with(effects).obeyed / self.runs[i].scenario.tick
-            )
-            out.append(
-                np.concatenate([place[: self.runs[i].rows], turned], axis=1) + self.deflection[i]
-            )
+            turned = moved(self._attitude[i], self.timing_with(effects).obeyed / self.tick)
+            pose = np.concatenate([place[: self.runs[i].rows], turned], axis=1)
+            out.append(pose + self.deflection[i])
         return out
 
     def places(self, lanes: Sequence[Lane]) -> Array:
         """(L, N, 3) positions [m] that are reached in each lane, without the deflection."""
         run = np.array([i for i, _ in lanes])
         scenarios = [self.runs[i].scenario for i in run]
-        parameters = [
-            PlatformParameters.believed(s).with_effects(effects)
-            for s, (_, effects) in zip(scenarios, lanes, strict=True)
-        ]
+        believed = [PlatformParameters.believed(s) for s in scenarios]
+        parameters = [p.with_effects(own) for p, (_, own) in zip(believed, lanes, strict=True)]
         timing = [self.timing_with(effects) for _, effects in lanes]
         obeyed, early = np.array([t.obeyed for t in timing]), np.array([t.before for t in timing])
         # rows before the first command
-        lost = np.ceil(np.maximum(-early / scenarios[0].tick - WHOLE, 0.0)).astype(int)
-        if not lost.any():
-            return replay_platform(scenarios, parameters, self._padded, run, obeyed, early)
-        commands = np.stack(
-            [
-                np.concatenate([c[n:], np.repeat(c[-1:], n, axis=0)])
-                for c, n in zip(self._padded[run], lost, strict=True)
-            ]
-        )
-        early, lane = early + lost * scenarios[0].tick, np.arange(len(lanes))
-        found = replay_platform(scenarios, parameters, commands, lane, obeyed, early)
+        lost = np.ceil(np.maximum(-early / self.tick - ON_AN_INSTANT, 0.0)).astype(int)
+        commands, at = self._padded, run
+        if lost.any():
+            pairs = zip(commands[run], lost, strict=True)
+            commands, at = np.stack([padded_by(c[n:], n) for c, n in pairs]), np.arange(len(run))
+        early = early + lost * self.tick
+        found = replay_platform(scenarios, parameters, commands, at, obeyed, early)
+        pairs = zip(found, lost, strict=True)
         return np.stack(
-            [
-                np.concatenate([np.repeat(p[:1], n, axis=0), p[: len(p) - n]])
-                for p, n in zip(found, lost, strict=True)
-            ]
+            [np.concatenate([np.repeat(p[:1], n, axis=0), p])[: len(p)] for p, n in pairs]
         )
 
     def _with_errors(self, i: int) -> PlatformLink:
@@ -113,30 +103,23 @@ class PlatformLink(ModelLink):
         input is stamped between rows: its bend within half a tick, which interpolation cuts off.
         None otherwise.
         """
-        tick = self.runs[i].scenario.tick
-        if any(e.kind == PlatformFriction.model_fields["kind"].default for e in effects):
-            error = (
-                JUMP_INSTANT_ERROR if self.timing_with(effects) == NO_SHIFT else JUMP_READING_ERROR
-            ) * tick
-            sooner, later = (
-                [*effects, PlatformDelay.hypothesis({}, delay=d)] for d in (-error, error)
-            )
-            early, late = self.predict([(i, sooner), (i, later)])
-            return np.abs(late - early)
-        if not self.timing_with(effects).before:
+        timing = self.timing_with(effects)
+        if any(isinstance(e, PlatformFriction) for e in effects):
+            error = JUMP_INSTANT_ERROR if timing == NO_SHIFT else JUMP_READING_ERROR
+            late = [PlatformDelay.hypothesis({}, delay=d * self.tick) for d in (-error, error)]
+            early, after = self.predict([(i, [*effects, d]) for d in late])
+            return np.abs(after - early)
+        if not timing.before:
             return None
-        sooner, later = ([*effects, Timing(delay=d)] for d in (-0.5 * tick, 0.5 * tick))
-        early, late, now = self.predict([(i, sooner), (i, later), (i, effects)])
-        return np.abs(early + late - 2.0 * now)
+        half = [Timing(delay=d * self.tick) for d in (-0.5, 0.5)]
+        early, after, now = self.predict([*((i, [*effects, d]) for d in half), (i, effects)])
+        return np.abs(early + after - 2.0 * now)
 
     def paths(self, effects: Effects) -> list[Array]:
         """(N, 7) poses reached in each run, with the commanded attitude, as stamped."""
         reached = self._reached([(i, effects) for i in range(len(self.runs))])
-        late = self.timing.delay + self.timing.before
-        return [
-            poses_of(moved(r, late / run.scenario.tick))
-            for r, run in zip(reached, self.runs, strict=True)
-        ]
+        late = (self.timing.delay + self.timing.before) / self.tick
+        return [poses_of(moved(r, late)) for r in reached]
 
 
 def poses_of(flat: Array) -> Array:

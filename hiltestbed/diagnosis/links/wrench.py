@@ -6,13 +6,12 @@ import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 from scipy.special import ndtr
 
-from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import (
     FRICTION,
     ContactParameters,
@@ -34,12 +33,11 @@ from hiltestbed.diagnosis.links.base import (
 )
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.low_pass import LowPass
-from hiltestbed.diagnosis.settings import BLOCK_ROWS
+from hiltestbed.diagnosis.settings import BLOCK_ROWS, UNKNOWN
 from hiltestbed.effects.log import log_parameters
-from hiltestbed.frames import Array, pose_step
-from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.frames import Array
 from hiltestbed.platform.parameters import PlatformParameters
-from hiltestbed.replay import Felt, Simulated, creep_of, replay_platform, replay_wrench
+from hiltestbed.replay import Felt, Simulated, replay_platform, replay_wrench
 from hiltestbed.replay.compensation import central_rates
 from hiltestbed.replay.wrench import Lane as FeltLane
 from hiltestbed.scenario import Scenario
@@ -50,13 +48,34 @@ NODES, WEIGHTS = hermegauss(8)  # of a standard normal distribution, which reach
 MOST_TOUCHES = 24  # chosen: of a run on a mount, whose instants are not known
 STEP_RATIO = 2  # of the steps of a mount, for the extrapolation to steps of zero length
 LEVERS = (0.0, 0.25, 0.5, 0.75, 1.0)  # between the surface and the tip
-NO_COUNT = 1e6  # chosen: times its noise: uncertainty of a reading that does not count
 # chosen: of the longest jump: what is shorter is motion of the axes that are held
 SHARE_OF_A_JUMP = 0.1
 WEIGHTS = WEIGHTS / math.sqrt(2.0 * math.pi)
 
 
 _NO_LOG_EFFECT = log_parameters(())
+
+
+class Interpretation(NamedTuple):
+    """What a facility's description leaves open of how it computes its contact.
+
+    Attributes:
+        lever: where between the undeformed surface (0) and the tip (1) the force acts. blunt: 1
+            where the ball of the tip touches, 0 where its foremost point does. ring: 1 where a
+            latch resists turning, 0 where it does not. grid: instants a tick between which a late
+            reading is interpolated linearly, as by a facility that computes its contact step by
+            step; None: it is the reading at the instant at which it left the contact. The rate of a
+            contact jumps from one tick to the next, so that the two differ.
+        exact: whether a mount is integrated to second order, and corrected to the exact integral by
+            what that misses of the believed motion; else it is stepped as by MuJoCo, to first
+            order.
+    """
+
+    lever: float = 0.5
+    blunt: float = 1.0
+    ring: float = 1.0
+    grid: int | None = None
+    exact: bool = False
 
 
 class _Numbers(NamedTuple):
@@ -68,12 +87,9 @@ class _Numbers(NamedTuple):
     sensor: SensorParameters
 
 
-def _numbers(scenario: Scenario, lever: float, blunt: float, ring: float) -> _Numbers:
-    """The numbers of a scenario, under an interpretation of what the facility leaves open."""
-    mechanism = scenario.mechanism
-    contacts = [
-        replace(c, lever=lever, blunt=blunt, ring=ring) for c in believed_contacts(mechanism)
-    ]
+def _numbers(scenario: Scenario, reads: Interpretation) -> _Numbers:
+    mechanism, own = scenario.mechanism, {k: getattr(reads, k) for k in ("lever", "blunt", "ring")}
+    contacts = [replace(c, **own) for c in believed_contacts(mechanism)]
     rules = sides_of(mechanism).rules
     rows = contact_rows(contacts, rules, mechanism.captured)
     return _Numbers(contacts, rules, rows, SensorParameters.believed(scenario.sensor))
@@ -91,16 +107,8 @@ class WrenchLink(ModelLink):
     it has no alternative interpretation.
 
     Attributes:
-        lever: where between the undeformed surface (0) and the tip (1) the force acts. blunt: 1
-            where the ball of the tip touches, 0 where its foremost point does. ring: 1 where a
-            latch resists turning, 0 where it does not. grid: instants a tick between which a late
-            reading is interpolated linearly, as by a facility that computes its contact step by
-            step; None: it is the reading at the instant at which it left the contact. The rate of a
-            contact jumps from one tick to the next, so that the two differ.
+        reads: the interpretation of what the facility leaves open.
         logged: the filter through which readings went to the record; None: none.
-        exact: whether a mount is integrated to
-            second order, and corrected to the exact integral by what that misses of the believed
-            motion; else it is stepped as by MuJoCo, to first order.
     """
 
     name = "wrench"
@@ -118,67 +126,29 @@ class WrenchLink(ModelLink):
         over the tick that ends there.
         """
         self.runs, self.paths, self.jumps, self.rates = runs, paths, jumps, rates
-        self.lever, self.blunt, self.ring, self.grid = 0.5, 1.0, 1.0, None
+        self.reads = Interpretation()
         self.commands: Sequence[Array] | None = None
         self.deflection: Sequence[Array] = ()
         self.logged: LowPass | None = None
         self.unknown_rate = False
-        self.exact = False
         self.unknown_steps = False
         self._step_error: list[Array] | None = None
-        self._believed = [_numbers(r.scenario, self.lever, self.blunt, self.ring) for r in runs]
+        self._believed = [_numbers(r.scenario, self.reads) for r in runs]
         scenarios = [r.scenario for r in runs]
-        first, before = scenarios[0], np.empty((len(runs), 7))
         self._felt: Felt | Simulated
-        if not sides_of(first.mechanism).rigid:
-            self._felt = Simulated(
-                scenarios, padded(paths), None if rates is None else padded(rates)
-            )
-            return
-        for i, (scenario, path) in enumerate(zip(scenarios, paths, strict=True)):
-            pose_step(path[0], approach_state(scenario)[7:], -scenario.tick, before[i])
-        captured = np.array([s.mechanism.captured for s in scenarios])
-        self._felt = Felt(
-            padded(paths),
-            before,
-            first.tick,
-            sides_of(first.mechanism).geometry,
-            captured,
-            latch_limits(scenarios),
-            MountDynamics.of(scenarios),
-            first.substeps,
-            self.lever,
-            self.blunt,
-            None if rates is None else padded(rates),
-            creep_of(first),
-        )
+        make = Felt.along if sides_of(scenarios[0].mechanism).rigid else Simulated
+        self._felt = make(scenarios, padded(paths), None if rates is None else padded(rates))
 
-    def interpreted(
-        self,
-        lever: float | None = None,
-        grid: int | None = None,
-        blunt: float | None = None,
-        exact: bool | None = None,
-        ring: float | None = None,
-    ) -> WrenchLink:
-        """The same link with another interpretation of what the facility leaves open; ``grid`` 0:
-        a late reading is that at the instant at which it left the contact.
-        """
+    def interpreted(self, **changed: Any) -> WrenchLink:
+        """The same link with other parts of its interpretation."""
         out = copy(self)
-        out.grid = self.grid if grid is None else grid or None
-        out.exact = self.exact if exact is None else exact
-        if isinstance(felt := self._felt, Felt):
-            out.lever = self.lever if lever is None else lever
-            out.blunt = self.blunt if blunt is None else blunt
-            out.ring = self.ring if ring is None else ring
-            read = (out.lever, out.blunt, out.ring)
-            if read != (self.lever, self.blunt, self.ring):
-                felt = replace(felt, lever=out.lever, blunt=out.blunt)
-                out._believed = [_numbers(r.scenario, *read) for r in self.runs]
-            if out.exact != self.exact:
-                felt = replace(felt, leapfrog=out.exact)
-            out._felt = felt
-        out._step_error = out._missed_by_steps() if out.exact else None
+        before, reads = self.reads, self.reads._replace(**changed)
+        out.reads = reads
+        if isinstance(self._felt, Felt) and reads != before:
+            out._believed = [_numbers(r.scenario, reads) for r in self.runs]
+            if (reads.exact, reads.blunt) != (before.exact, before.blunt):
+                out._felt = replace(self._felt, leapfrog=reads.exact, blunt=reads.blunt)
+        out._step_error = out._missed_by_steps() if reads.exact else None
         return out
 
     def interpretations(self, effects: Effects = ()) -> list[list[WrenchLink]]:
@@ -189,25 +159,26 @@ class WrenchLink(ModelLink):
         """
         if not isinstance(self._felt, Felt):
             return []
-        first = self.runs[0].scenario
-        out = []
+        first, reads, out = self.runs[0].scenario, self.reads, []
         if self.acts_across(effects):
-            out.append([self.interpreted(lever=x) for x in LEVERS if x != self.lever])
+            out.append([self.interpreted(lever=x) for x in LEVERS if x != reads.lever])
         if first.mechanism.flat:
-            out.append([self.interpreted(blunt=1.0 - self.blunt)])
+            out.append([self.interpreted(blunt=1.0 - reads.blunt)])
         if first.mechanism.captured:
-            out.append([self.interpreted(ring=1.0 - self.ring)])
+            out.append([self.interpreted(ring=1.0 - reads.ring)])
         if self.stepped:
-            out.append([self.interpreted(exact=not self.exact)])
+            out.append([self.interpreted(exact=not reads.exact)])
         else:
-            out.append([self.interpreted(grid=0 if self.grid else first.substeps)])
+            out.append([self.interpreted(grid=None if reads.grid else first.substeps)])
         return out
 
     def as_interpreted(self, other: WrenchLink) -> WrenchLink:
         """The same link with interpretation and timing of another, perhaps of fewer rows."""
-        read = other.lever, other.grid or 0, other.blunt, other.exact, other.ring
-        out = self.interpreted(*read).with_timing(other.timing)
+        out = self._read_as(other)
         return out.with_unknown_steps() if other.unknown_steps else out
+
+    def _read_as(self, other: WrenchLink) -> WrenchLink:
+        return self.interpreted(**other.reads._asdict()).with_timing(other.timing)
 
     def acts_across(self, effects: Effects = ()) -> bool:
         """Whether a part of the force acts across the overlap, so that it matters where along it
@@ -232,14 +203,9 @@ class WrenchLink(ModelLink):
         """
         assert isinstance(self._felt, Felt)
         finer = replace(self._felt, substeps=STEP_RATIO * self._felt.substeps)
-        coarse, fine = (
-            self._read(felt, [(i, ()) for i in range(len(self.runs))])
-            for felt in (self._felt, finer)
-        )
-        return [
-            (f - c) * STEP_RATIO**2 / (STEP_RATIO**2 - 1.0)
-            for f, c in zip(fine, coarse, strict=True)
-        ]
+        lanes: list[Lane] = [(i, ()) for i in range(len(self.runs))]
+        pairs = zip(self._read(finer, lanes), self._read(self._felt, lanes), strict=True)
+        return [(f - c) * STEP_RATIO**2 / (STEP_RATIO**2 - 1.0) for f, c in pairs]
 
     def with_unknown_steps(self) -> WrenchLink:
         """The same link of a facility whose mount moves in steps that are not known: nuisance terms
@@ -252,15 +218,14 @@ class WrenchLink(ModelLink):
         as_it_is, terms = self._read(self._felt, everything), [self._step_error]
         for touch in range(1, MOST_TOUCHES + 1):
             earlier = self._read(replace(self._felt, hastened=touch), everything)
-            if all(np.array_equal(e, s) for e, s in zip(earlier, as_it_is, strict=True)):
+            changes = [e - s for e, s in zip(earlier, as_it_is, strict=True)]
+            if not any(c.any() for c in changes):
                 break
-            terms.append([e - s for e, s in zip(earlier, as_it_is, strict=True)])
+            terms.append(changes)
         out = copy(self)
         out.unknown_steps = True
-        out.runs = [
-            r.with_nuisances(np.stack(t, axis=2))
-            for r, t in zip(self.runs, zip(*terms, strict=True), strict=True)
-        ]
+        own = [np.stack(t, axis=2) for t in zip(*terms, strict=True)]
+        out.runs = [r.with_nuisances(t) for r, t in zip(self.runs, own, strict=True)]
         return out
 
     def commanded(self, commands: Sequence[Array], deflection: Sequence[Array]) -> WrenchLink:
@@ -276,13 +241,11 @@ class WrenchLink(ModelLink):
         """The same link, each of whose ``changes`` (N, 6) of the path is a nuisance."""
         out = copy(self)
         for change in zip(*changes, strict=True):
-            paths = [
-                poses_of(flat_pose(p) + c[: len(p)])
-                for p, c in zip(self.paths, change, strict=True)
-            ]
+            pairs = list(zip(self.paths, change, strict=True))
+            paths = [poses_of(flat_pose(p) + c[: len(p)]) for p, c in pairs]
             rates = self.rates and [
-                r + np.gradient(c[: len(r)], run.scenario.tick, axis=0)
-                for r, c, run in zip(self.rates, change, self.runs, strict=True)
+                r + np.gradient(c[: len(r)], self.tick, axis=0)
+                for r, c in zip(self.rates, change, strict=True)
             ]
             out.runs = self._with_terms(out.runs, paths, rates)
         return out
@@ -295,13 +258,19 @@ class WrenchLink(ModelLink):
         times: float = 1.0,
     ) -> list[LinkRun]:
         """The ``runs`` with a nuisance term: the change of readings on other paths and rates."""
-        other = (
-            WrenchLink(self.runs, paths, self.jumps, rates)
-            .as_interpreted(self)
-            .through(self.logged)
-        )
+        other = self._on(self.runs, paths, rates, self.jumps)
         changes = [b - a for a, b in zip(self.shown_in_all(), other.shown_in_all(), strict=True)]
         return [r.with_nuisances(times * c[:, :, None]) for r, c in zip(runs, changes, strict=True)]
+
+    def _on(
+        self,
+        runs: Sequence[LinkRun],
+        paths: Sequence[Array],
+        rates: Sequence[Array] | None,
+        jumps: Sequence[Array] | None = None,
+    ) -> WrenchLink:
+        """The same link of other runs and paths, without nuisances."""
+        return WrenchLink(runs, paths, jumps, rates)._read_as(self).through(self.logged)
 
     def with_unknown_rate(self) -> WrenchLink:
         """The same link of a facility that takes the rate of the contact at an instant that is not
@@ -317,16 +286,18 @@ class WrenchLink(ModelLink):
         out.unknown_rate = True
         if self.jumps is not None:
             return out
-        smooth = (
-            [central_rates(r.scenario, p) for r, p in zip(self.runs, self.paths, strict=True)]
-            if self.rates is None
-            else None
-        )
+        rates = self.rates
+        smooth = None if rates is not None else self._rates_on(self.runs, self.paths)
         out.runs = self._with_terms(self.runs, self.paths, smooth, 2.0)
-        later = None if self.rates is None else self._closing_later(self.rates)
+        later = None if rates is None else self._closing_later(rates)
         if later is not None:
             out.runs = self._with_terms(out.runs, self.paths, later)
         return out
+
+    @staticmethod
+    def _rates_on(runs: Sequence[LinkRun], paths: Sequence[Array]) -> list[Array]:
+        """(N, 6) twists by central differences."""
+        return [central_rates(r.scenario, p) for r, p in zip(runs, paths, strict=True)]
 
     def _closing_later(self, rates: Sequence[Array]) -> list[Array] | None:
         """The rates with which each latch that waits closes a row later; None: none does."""
@@ -350,52 +321,35 @@ class WrenchLink(ModelLink):
         return out
 
     def _with_errors(self, i: int) -> WrenchLink:
-        paths, run = perturbed(self.paths[i], self.rounding[i][: self.runs[i].rows]), self.runs[i]
-        rates = None if self.rates is None else [central_rates(run.scenario, p) for p in paths]
-        return (
-            WrenchLink([run] * len(paths), paths, None, rates)
-            .as_interpreted(self)
-            .through(self.logged)
-        )
+        paths = perturbed(self.paths[i], self.rounding[i][: self.runs[i].rows])
+        runs = [self.runs[i]] * len(paths)
+        rates = None if self.rates is None else self._rates_on(runs, paths)
+        return self._on(runs, paths, rates)
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
-        moves = [
-            bool(self.commands) and any(e.link == "platform" for e in effects)
-            for _, effects in lanes
-        ]
-        if not any(moves):
-            return self._felt_by(lanes)
+        moves = [bool(self.commands) and any(e.link == "platform" for e in own) for _, own in lanes]
         rest = [lane for lane, m in zip(lanes, moves, strict=True) if not m]
+        moving = [lane for lane, m in zip(lanes, moves, strict=True) if m]
         others = iter(self._felt_by(rest) if rest else [])
-        moved = iter(self._moved([lane for lane, m in zip(lanes, moves, strict=True) if m]))
+        moved = iter(self._moved(moving) if moving else [])
         return [next(moved if m else others) for m in moves]
 
     def _moved(self, lanes: Sequence[Lane]) -> list[Array]:
         """Predictions on the paths of a platform with effects, with the commanded attitude."""
         runs = [self.runs[i] for i, _ in lanes]
         scenarios = [r.scenario for r in runs]
-        parameters = [
-            PlatformParameters.believed(s).with_effects(effects)
-            for s, (_, effects) in zip(scenarios, lanes, strict=True)
-        ]
-        places = replay_platform(
-            scenarios, parameters, padded(self.commands or ()), np.array([i for i, _ in lanes])
-        )
-        paths = [
-            np.column_stack(
-                [p[: r.rows] + self.deflection[i][: r.rows, :3], self.paths[i][: r.rows, 3:]]
-            )
-            for p, r, (i, _) in zip(places, runs, lanes, strict=True)
-        ]
-        rates = None
-        if self.rates is not None:
-            rates = [central_rates(r.scenario, p) for r, p in zip(runs, paths, strict=True)]
-        link = WrenchLink(runs, paths, None, rates).interpreted(
-            self.lever, self.grid, self.blunt, self.exact, self.ring
-        )
-        link = link.with_timing(self.timing)
+        believed = [PlatformParameters.believed(s) for s in scenarios]
+        pairs = zip(believed, lanes, strict=True)
+        parameters = [p.with_effects(effects) for p, (_, effects) in pairs]
+        which = np.array([i for i, _ in lanes])
+        places = replay_platform(scenarios, parameters, padded(self.commands or ()), which)
+        paths = []
+        for place, run, i in zip(places, runs, which, strict=True):
+            at = place[: run.rows] + self.deflection[i][: run.rows, :3]
+            paths.append(np.column_stack([at, self.paths[i][: run.rows, 3:]]))
+        rates = None if self.rates is None else self._rates_on(runs, paths)
         rest = [[e for e in effects if e.link != "platform"] for _, effects in lanes]
-        return link.through(self.logged).predict(list(enumerate(rest)))
+        return self._on(runs, paths, rates).predict(list(enumerate(rest)))
 
     def _felt_by(self, lanes: Sequence[Lane]) -> list[Array]:
         shown = self._read(self._felt, lanes)
@@ -409,15 +363,12 @@ class WrenchLink(ModelLink):
         # stamped before its contact: read later, by whole rows
         ahead = [max(math.ceil(-_lateness(lane) / tick), 0) for lane in read]
         later = [x._replace(later=x.later + n * tick) for x, n in zip(read, ahead, strict=True)]
-        found = replay_wrench(felt, later, self.grid)
-        late = [
-            self.timing_with(effects).before / tick - n
-            for n, (_, effects) in zip(ahead, lanes, strict=True)
-        ]
-        return [
-            moved(reading[: self.runs[i].rows], n)
-            for reading, n, (i, _) in zip(found, late, lanes, strict=True)
-        ]
+        out = []
+        found = replay_wrench(felt, later, self.reads.grid)
+        for reading, n, (i, effects) in zip(found, ahead, lanes, strict=True):
+            late = self.timing_with(effects).before / tick - n
+            out.append(moved(reading[: self.runs[i].rows], late))
+        return out
 
     def _lane(self, i: int, effects: Effects) -> FeltLane:
         links = {e.link for e in effects}
@@ -440,7 +391,7 @@ class WrenchLink(ModelLink):
             return self.paths[i][:, 2]
         if isinstance(self._felt, Simulated):
             return self._felt.believed(i).depth[: self.runs[i].rows]
-        return np.asarray(self._felt.met[0][i, : self.runs[i].rows].max(axis=1, initial=-1.0))
+        return np.asarray(self._felt.depth[i, : self.runs[i].rows].max(axis=1, initial=-1.0))
 
     def lateness(self, i: int, effects: Effects) -> float:
         """[s] by which the reading of run i is later than the contact."""
@@ -454,23 +405,18 @@ class WrenchLink(ModelLink):
         the correction for the steps of a mount, which is that of the believed motion, errs alike
         over many rows and counts like noise that is larger by the root of a block.
         """
-        of_steps = (
-            0.0 if self._step_error is None else math.sqrt(BLOCK_ROWS) * np.abs(self._step_error[i])
-        )
-        return np.hypot(
-            np.hypot(self._between_instants(i, effects), self._at_the_edge(i, effects)), of_steps
-        )
+        out = np.hypot(self._between_instants(i, effects), self._at_the_edge(i, effects))
+        if self._step_error is None:
+            return out
+        return np.hypot(out, math.sqrt(BLOCK_ROWS) * np.abs(self._step_error[i]))
 
     def _between_instants(self, i: int, effects: Effects) -> Array:
-        s = self.runs[i].scenario
-        step = s.tick / min(s.substeps, 4)
-        late = self.lateness(i, effects)
+        s, sigma = self.runs[i].scenario, self.runs[i].sigma
         if self.jumps is not None:
-            sigma = self.runs[i].sigma
-            return np.where(
-                self.beside_jumps(i, effects)[:, None] & np.isfinite(sigma), NO_COUNT * sigma, 0.0
-            )
-        if abs(late) < step:
+            open_ = self.beside_jumps(i, effects)[:, None] & np.isfinite(sigma)
+            return np.where(open_, UNKNOWN * sigma, 0.0)
+        step = s.tick / min(s.substeps, 4)
+        if abs(self.lateness(i, effects)) < step:
             return np.zeros((self.runs[i].rows, 6))
         shifts = [[*effects, Timing(delay=d)] for d in (-step, step)]
         early, after, now = self.predict([(i, shifts[0]), (i, shifts[1]), (i, effects)])
@@ -478,16 +424,15 @@ class WrenchLink(ModelLink):
 
     def beside_jumps(self, i: int, effects: Effects = ()) -> np.ndarray:
         """(N,) bool: rows whose reading may be of a tick in which A jumps, or beside it."""
-        if self.jumps is None:
-            return np.zeros(self.runs[i].rows, dtype=bool)
-        jumps, late, tick = self.jumps[i], self.lateness(i, effects), self.runs[i].scenario.tick
-        ticks = np.array([late, late + self.timing_with(effects).before]) / tick
-        first, last = math.floor(ticks.min()) - 1, math.ceil(ticks.max()) + 1
-        away = np.flatnonzero(jumps > SHARE_OF_A_JUMP * jumps.max(initial=0.0))[
-            :, None
-        ] + np.arange(first, last + 1)
         out = np.zeros(self.runs[i].rows, dtype=bool)
-        out[away[(away >= 0) & (away < len(out))]] = True
+        if self.jumps is None:
+            return out
+        jumps, late = self.jumps[i], self.lateness(i, effects)
+        ticks = np.array([late, late + self.timing_with(effects).before]) / self.tick
+        after = np.arange(math.floor(ticks.min()) - 1, math.ceil(ticks.max()) + 2)
+        at = np.flatnonzero(jumps > SHARE_OF_A_JUMP * jumps.max(initial=0.0))
+        beside = at[:, None] + after
+        out[beside[(beside >= 0) & (beside < len(out))]] = True
         return out
 
     def _at_the_edge(self, i: int, effects: Effects) -> Array:
@@ -501,5 +446,7 @@ class WrenchLink(ModelLink):
             return np.zeros((run.rows, 6))
         through = lane.sensor.copy()
         through.deadzone = np.zeros(6)
-        force = replay_wrench(self._felt, [lane._replace(sensor=through)], self.grid)[0][: run.rows]
+        force = replay_wrench(self._felt, [lane._replace(sensor=through)], self.reads.grid)[0][
+            : run.rows
+        ]
         return width * np.sqrt(ndtr(-np.abs(np.abs(force) - width) / run.sigma))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.result import ChannelResidual, Series
 from hiltestbed.frames import Array
 
-FREE, CONTACT, AFTER = "free", "contact", "after"
 UNITS = {"p": "m", "q": "1", "r": "rad", "f": "N", "t": "N m"}
 
 
@@ -40,7 +39,6 @@ def link_series(link: ModelLink, effects: Effects = ()) -> list[Series]:
 
 
 def unit_of(channel: str) -> str:
-    """The unit of a column of the trace."""
     return UNITS.get(channel.rpartition(".")[2][:1], "")
 
 
@@ -56,14 +54,8 @@ def in_sigma(s: Series, extended: bool = False) -> Array:
     return np.where(use, (s.measured - prediction) / np.where(use, s.sigma, 1.0), np.nan)
 
 
-def phases(s: Series) -> dict[str, np.ndarray]:
-    """(N,) bool for each phase: before the first touch, in contact, and apart after it."""
-    touched = np.logical_or.accumulate(s.touching)
-    return {FREE: ~touched, CONTACT: s.touching, AFTER: touched & ~s.touching}
-
-
 def channel_residuals(
-    series: Sequence[Series], noise: Mapping[str, float] | None = None, extends: bool = False
+    series: Sequence[Series], noise: Mapping[str, float], extends: bool = False
 ) -> tuple[ChannelResidual, ...]:
     """One record a channel, over all runs.
 
@@ -74,47 +66,45 @@ def channel_residuals(
     out = []
     for channel in dict.fromkeys(s.channel for s in series):
         mine = [s for s in series if s.channel == channel]
-        floor = (noise or {}).get(channel)
-        if floor is None:
-            floor = _floor(mine)
-        by_phase = {
-            p: _rms(mine, lambda s, p=p: counted(s) & phases(s)[p]) for p in (FREE, CONTACT, AFTER)
-        }
-        total = _rms(mine, counted)
+        left = [np.where(counted(s), s.measured - s.nominal, np.nan) for s in mine]
+        total = _root(np.concatenate(left))
         if total is None:
             continue
+        touched = [np.logical_or.accumulate(s.touching) for s in mine]
+        phases = (
+            [~t for t in touched],
+            [s.touching for s in mine],
+            [t & ~s.touching for t, s in zip(touched, mine, strict=True)],
+        )
+        free, contact, after = (
+            _root(np.concatenate([x[rows] for x, rows in zip(left, phase, strict=True)]))
+            for phase in phases
+        )
+        floor = noise.get(channel)
+        if floor is None:
+            floor = float(np.median(np.concatenate([s.sigma[counted(s)] for s in mine])))
+        better = [np.where(counted(s), s.measured - s.extended, np.nan) for s in mine]
         out.append(
             ChannelResidual(
                 channel,
                 total,
                 floor,
-                by_phase[FREE],
-                by_phase[CONTACT],
-                by_phase[AFTER],
+                free,
+                contact,
+                after,
                 _white(mine, False),
                 mine[0].unit,
-                _rms(mine, counted, True) if extends else None,
+                _root(np.concatenate(better)) if extends else None,
                 _white(mine, True) if extends else None,
             )
         )
     return tuple(out)
 
 
-def _rms(
-    series: Sequence[Series], rows: Callable[[Series], np.ndarray], extended: bool = False
-) -> float | None:
-    squares, samples = 0.0, 0
-    for s in series:
-        use = rows(s)
-        left = (s.measured - (s.extended if extended else s.nominal))[use]
-        squares += float(left @ left)
-        samples += len(left)
-    return float(np.sqrt(squares / samples)) if samples else None
-
-
-def _floor(series: Sequence[Series]) -> float:
-    known = np.concatenate([s.sigma[counted(s)] for s in series])
-    return float(np.median(known)) if len(known) else 0.0
+def _root(left: Array) -> float | None:
+    """Root of the mean square of what is known; None without any."""
+    known = left[np.isfinite(left)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else None
 
 
 def _white(series: Sequence[Series], extended: bool) -> bool:
@@ -125,10 +115,6 @@ def _white(series: Sequence[Series], extended: bool) -> bool:
     return leftover([r for r in left if len(r)]).noise
 
 
-def misfit(series: Sequence[Series], channel: str, extended: bool = False) -> float:
+def misfit(series: Sequence[Series], channel: str) -> float:
     """rms of a channel in units of its noise; 0 without samples."""
-    left = np.concatenate(
-        [in_sigma(s, extended) for s in series if s.channel == channel] or [np.zeros(0)]
-    )
-    left = left[np.isfinite(left)]
-    return float(np.sqrt(np.mean(left**2))) if len(left) else 0.0
+    return _root(np.concatenate([in_sigma(s) for s in series if s.channel == channel])) or 0.0

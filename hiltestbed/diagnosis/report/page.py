@@ -8,11 +8,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hiltestbed.diagnosis.conclusion import Conclusion
+from hiltestbed.diagnosis.certainty import Certainty, Profile
 from hiltestbed.diagnosis.plain import LINK_NAMES, listed
 from hiltestbed.diagnosis.report import pictures
-from hiltestbed.diagnosis.report.certain import certainty_section
-from hiltestbed.diagnosis.report.extend import in_words
 from hiltestbed.diagnosis.report.sentence import (
     TITLES,
     gain_sentence,
@@ -22,18 +20,21 @@ from hiltestbed.diagnosis.report.sentence import (
     rivals_of,
     verdict_sentence,
 )
-from hiltestbed.diagnosis.result import Cause, Figures, Finding, Heldout, Isolable
+from hiltestbed.diagnosis.result import (
+    Cause,
+    Conclusion,
+    Figures,
+    Finding,
+    Heldout,
+    Isolable,
+)
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.report.page import Report
 
-FITTED = (
-    "k and c: least squares over the contact. A delay that is not in the model appears "
-    "as missing damping."
-)
+STRONG_CORRELATION = 0.95  # chosen: from which one estimate means nothing without the other
 
 
 def report_of(diagnosis: Conclusion) -> Report:
-    """The page."""
     report = Report(f"Diagnosis of {diagnosis.name}: {TITLES[diagnosis.verdict]}")
     report.lead(verdict_sentence(diagnosis))
     for text in diagnosis.overridden:
@@ -41,7 +42,7 @@ def report_of(diagnosis: Conclusion) -> Report:
     report.text(_summary(diagnosis))
     _causes(report, diagnosis)
     _evidence(report, diagnosis)
-    certainty_section(report, diagnosis.finding.certainty)
+    _certainty(report, diagnosis.finding.certainty)
     _ranking(report, diagnosis)
     _gain(report, diagnosis)
     _next(report, diagnosis)
@@ -113,7 +114,7 @@ def _cause_table(report: Report, causes: Sequence[Cause], title: str, rivals: bo
     rows = []
     for c in causes:
         among = f"{c.probability:.2f}", ", ".join(rivals_of(c)) or "nothing else"
-        rows += [(c.effect, name, in_words(p), *among) for name, p in c.parameters.items()]
+        rows += [(c.effect, name, p.in_words(), *among) for name, p in c.parameters.items()]
     header = ("effect", "parameter", "estimate (95 % interval)")
     header = (*header, "probability", "indistinguishable from")
     if rows:
@@ -127,7 +128,6 @@ def _cause_table(report: Report, causes: Sequence[Cause], title: str, rivals: bo
 
 
 def _in_words(explanation: Sequence[Mapping[str, Any]]) -> str:
-    """Effects with their parameters."""
     return " and ".join(
         f"{e['kind']} [{listed({name: v for name, v in e.items() if name != 'kind'})}]"
         for e in explanation
@@ -163,6 +163,66 @@ def _evidence(report: Report, d: Conclusion) -> None:
         report.text(f"Residual: {d.finding.left}.")
 
 
+def _certainty(report: Report, certainties: Sequence[Certainty]) -> None:
+    profiles = [p for c in certainties for p in c.profiles]
+    if not profiles:
+        return
+    report.heading("Uncertainty of the estimates")
+    for sentence in (*bounds_met(profiles), *tied(certainties)):
+        report.text(sentence)
+    report.figure(
+        pictures.profile_figure(profiles),
+        "Cost of holding a parameter at another value while the other parameters of its link "
+        "follow: chi-square above its minimum, in units of the misfit per sample. Dashed: 3.84, "
+        "the 95 % of an exact model. Shaded: the 95 % interval, which is wider where the runs "
+        "contradict each other or the noise is correlated. Hatched: beyond the bounds of the "
+        "search.",
+    )
+    for c in certainties:
+        if len(c.profiles) > 1:
+            report.figure(
+                pictures.correlation_figure(c),
+                f"Correlation of the estimates on the link {LINK_NAMES.get(c.link, c.link)}: near "
+                "1 or -1 the data determine a combination of the two, not each by itself.",
+            )
+
+
+def bounds_met(profiles: Sequence[Profile]) -> list[str]:
+    """A sentence for each estimate at a bound of the search."""
+    out = []
+    for p in profiles:
+        if p.met is not None:
+            at, unit = (
+                p.bounds[0 if p.met == "lowest" else 1],
+                "" if p.unit == "-" else f" {p.unit}",
+            )
+            out.append(
+                f"{p.label} is at the {p.met} value that was searched, {at:.4g}{unit}: the data "
+                "favour a value beyond it, which means another effect, or a size that was not "
+                "thought possible. Its estimate is not reliable."
+            )
+    return out or ["No estimate is at a bound of its search."]
+
+
+def tied(certainties: Sequence[Certainty]) -> list[str]:
+    """A sentence for the most correlated pair of estimates of each link."""
+    out = []
+    for c in certainties:
+        if (pair := c.strongest()) is not None:
+            a, b, size = pair
+            then = (
+                "only a combination of them is determined"
+                if abs(size) >= STRONG_CORRELATION
+                else "each is determined by itself"
+            )
+            alike = (
+                f"The most correlated estimates on the link "
+                f"{LINK_NAMES.get(c.link, c.link)} are {a.label} and {b.label}"
+            )
+            out.append(f"{alike}, at {size:+.3f}: {then}.")
+    return out
+
+
 def _ranking(report: Report, d: Conclusion) -> None:
     ranking = [r for r in d.finding.ranking if math.isfinite(r.score)]
     if not ranking:
@@ -170,17 +230,17 @@ def _ranking(report: Report, d: Conclusion) -> None:
     report.heading("Hypotheses that were compared")
     for link in dict.fromkeys(r.link for r in ranking):
         mine = [r for r in ranking if r.link == link]
-        report.figure(
-            pictures.ranking_bars(mine),
-            f"Link {LINK_NAMES.get(link, link) or d.link}: shorter is better; within a few units "
-            f"of the best they cannot be told apart.",
-        )
         best, rows = min(x.score for x in mine), []
         for r in mine:
             worse = f"{r.score - best:.3g}", _number(r.heldout), _yes(r.adequate)
             rows.append((" + ".join(r.effects), r.parameters, *worse))
         header = ("hypothesis", "parameters", "worse by", "left-out rms / noise")
-        report.table((*header, "leaves only noise"), rows)
+        report.table(
+            (*header, "leaves only noise"),
+            rows,
+            f"Link {LINK_NAMES.get(link, link) or d.link}: chi-square with the penalty for "
+            "parameters; within a few units of the best they cannot be told apart.",
+        )
 
 
 def _gain(report: Report, d: Conclusion) -> None:
@@ -197,24 +257,20 @@ def _gain(report: Report, d: Conclusion) -> None:
         bars(d.finding.partial_gain, "The best explanation on runs that were left out of its fit.")
     if d.heldout is not None and d.heldout.per_run:
         bars(d.heldout, "Residual of the departing link on runs that were left out of the fit.")
-    figure = pictures.closed_loop_figures(d.closed_loop, d.finding.extends)
-    if figure is None:
+    if not any(f != Figures() for f in d.closed_loop.measured):
         return
-    report.text(
-        "The same runs in closed loop, by one rule: speeds from the commanded pose, stiffness and "
-        "damping from pose and force."
-    )
-    report.figure(figure, "Rebound and peak force of each run.")
     sources = ("measured", "nominal", "extended") if d.finding.extends else ("measured", "nominal")
-    names = {"cor": "CoR", "peak_force": "peak [N]", "stiffness": "k [N/m]", "damping": "c [N s/m]"}
-    for pair, caption in ((("cor", "peak_force"), ""), (("stiffness", "damping"), FITTED)):
-        rows = []
-        for i, run in enumerate(d.closed_loop.runs):
-            figures: list[Figures] = [getattr(d.closed_loop, source)[i] for source in sources]
-            values = (_number(getattr(f, name), 5) for name in pair for f in figures)
-            rows.append([d.dataset.names[run], *values])
-        header = ["run", *(f"{names[name]} {source}" for name in pair for source in sources)]
-        report.table(header, rows, caption)
+    names = {"cor": "CoR", "peak_force": "peak [N]"}
+    rows = []
+    for i, run in enumerate(d.closed_loop.runs):
+        figures: list[Figures] = [getattr(d.closed_loop, source)[i] for source in sources]
+        values = (_number(getattr(f, name), 5) for name in names for f in figures)
+        rows.append([d.dataset.names[run], *values])
+    report.table(
+        ["run", *(f"{n} {source}" for n in names.values() for source in sources)],
+        rows,
+        "The same runs in closed loop, by one rule: speeds from the commanded pose.",
+    )
 
 
 def _next(report: Report, d: Conclusion) -> None:
@@ -255,9 +311,6 @@ def _channels(report: Report, d: Conclusion) -> None:
     if not d.residuals:
         return
     report.heading("Every channel")
-    report.figure(
-        pictures.channels_overview(d.residuals), "Residual of each channel, in units of its noise."
-    )
     rows = []
     for r in d.residuals:
         sizes = r.noise_floor, r.rms, r.rms_free, r.rms_contact, r.rms_after

@@ -1,22 +1,17 @@
-"""The figures of the report: residual before and after, force over penetration, ranking of
-hypotheses, closed loop.
-"""
+"""The figures of the report: residual before and after, force over penetration, learned curves."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiltestbed.diagnosis.certainty import Certainty, Profile
 from hiltestbed.diagnosis.report.evidence import counted, in_sigma, misfit
 from hiltestbed.diagnosis.result import (
-    ChannelResidual,
-    ClosedLoop,
     Heldout,
     Learned,
-    Ranked,
     Series,
 )
 from hiltestbed.errors import InputError
@@ -30,6 +25,9 @@ if TYPE_CHECKING:
 
 MEASURED, NOMINAL, EXTENDED, FLOOR, TOUCH = "#1b2530", "#d1495b", "#0b6e99", "#8a97a3", "#f6ead6"
 BAND_SIGMA = 2.0  # chosen: sigma
+CHI2_95 = 3.84  # derived: of chi-square, 95 % of one parameter
+PROFILE_TOP = 5.0  # chosen: times CHI2_95: up to which a profile is drawn
+PROFILES_PER_ROW = 3  # in the figure
 MAX_SHOWN = 3  # channels and runs in a figure
 CONTACT_MARGIN = 0.15  # chosen: of a contact, shown on both sides of it
 MIN_MISFIT_SHARE = 0.2  # chosen: of the worst channel's misfit, from which another channel is shown
@@ -175,49 +173,6 @@ def force_against_penetration(
     return figure
 
 
-def channels_overview(residuals: Sequence[ChannelResidual]) -> Figure:
-    """rms of every channel over its noise floor, before and after."""
-    shown = [r for r in residuals if r.noise_floor > 0.0]
-    figure, axes = new_figure(9.0, 0.24 * len(shown) + 1.2)
-    place = np.arange(len(shown))[::-1]
-    before = [max(r.rms / r.noise_floor, 1e-2) for r in shown]
-    axes.plot(before, place, "o", color=NOMINAL, label="nominal")
-    after = {
-        p: max(r.rms_extended / r.noise_floor, 1e-2)
-        for p, r in zip(place, shown, strict=True)
-        if r.rms_extended is not None
-    }
-    if after:
-        axes.plot([*after.values()], [*after], "D", mfc="none", color=EXTENDED, label="extended")
-    axes.axvline(1.0, color=FLOOR, lw=1)
-    axes.set_xscale("log")
-    axes.set_yticks(place, [r.channel for r in shown], fontsize=8)
-    axes.set_xlabel("rms of the residual over the noise floor (1: only noise)")
-    axes.grid(axis="x", alpha=0.3)
-    _legend(axes)
-    return figure
-
-
-def ranking_bars(ranking: Sequence[Ranked]) -> Figure:
-    """Hypotheses by their score above the best, in chi-square with penalty; with the rms on
-    left-out runs.
-    """
-    shown = sorted((r for r in ranking if math.isfinite(r.score)), key=lambda r: r.score)[:10]
-    figure, axes = new_figure(9.0, 0.36 * len(shown) + 1.2)
-    place = np.arange(len(shown))[::-1]
-    worse = [r.score - shown[0].score for r in shown]
-    colors = [EXTENDED, *["#b9c6d0"] * (len(shown) - 1)]
-    axes.barh(place, [w + 1.0 for w in worse], color=colors, height=0.65)
-    axes.set_xscale("log")
-    axes.set_yticks(place, [" + ".join(r.effects) or "nothing" for r in shown], fontsize=9)
-    for p, w, r in zip(place, worse, shown, strict=True):
-        held = "" if r.heldout is None else f"  left-out runs: {r.heldout:.3g} x noise"
-        axes.text(1.15 * (w + 1.0), p, f"+{w:.3g}{held}", va="center", fontsize=8)
-    axes.set_xlim(0.8, max(1e3, (worse[-1] + 1.0) ** 1.8))
-    axes.set_xlabel("1 + score above the best: chi-square with the penalty for parameters")
-    return figure
-
-
 def heldout_bars(heldout: Heldout, names: Sequence[str]) -> Figure:
     """Each run's residual before and after, left out of the fit; ``names``: of the runs."""
     runs = sorted(heldout.per_run)
@@ -263,28 +218,65 @@ def learned_curves(learned: Learned) -> Figure:
     return figure
 
 
-def closed_loop_figures(loop: ClosedLoop, extends: bool) -> Figure | None:
-    """Restitution and peak force of each run: measured, nominal, extended; None where neither was
-    measured.
-    """
-    labels = {"cor": "coefficient of restitution", "peak_force": "peak force [N]"}
-    names = [name for name in labels if any(getattr(f, name) is not None for f in loop.measured)]
-    if not names:
-        return None
-    figure, grid = new_figure(4.5 * len(names), 3.2, nrows=1, ncols=len(names), squeeze=False)
-    sources = [
-        ("measured", loop.measured, "s", MEASURED, 9),
-        ("nominal", loop.nominal, "o", NOMINAL, 6),
-    ]
-    sources += [("extended", loop.extended, "D", EXTENDED, 5)] if extends else []
-    for axes, name in zip(grid[0], names, strict=True):
-        for source, rows, marker, color, size in sources:
-            values = [np.nan if v is None else v for v in (getattr(f, name) for f in rows)]
-            fill = "none" if source == "measured" else color
-            axes.plot(loop.runs, values, marker, ms=size, mfc=fill, color=color, label=source)
-        axes.set(xlabel="run", ylabel=labels[name], xticks=list(loop.runs))
-        axes.grid(alpha=0.3)
-    _legend(grid[0, 0])
+def profile_figure(profiles: Sequence[Profile]) -> Figure:
+    columns = min(PROFILES_PER_ROW, len(profiles))
+    rows = -(-len(profiles) // columns)
+    figure, grid = new_figure(
+        3.2 * columns + 0.4, 2.5 * rows + 0.2, nrows=rows, ncols=columns, squeeze=False
+    )
+    for axes, profile in zip(grid.ravel(), profiles, strict=False):
+        _profile(axes, profile)
+    for axes in grid.ravel()[len(profiles) :]:
+        axes.set_visible(False)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("cost above its minimum")
+    return figure
+
+
+def _profile(axes: Axes, p: Profile) -> None:
+    axes.axvspan(*p.ci95, color=EXTENDED, alpha=0.12, lw=0)
+    axes.axhline(CHI2_95, color=FLOOR, lw=1, ls="--")
+    axes.plot(p.values, p.rise, "o-", ms=3.5, color=EXTENDED, lw=1.3)
+    axes.plot([p.estimate], [0.0], "D", ms=6, color=NOMINAL)
+    low, high = float(p.values[0]), float(p.values[-1])
+    margin = 0.08 * (high - low) or 1e-3 * max(abs(p.estimate), 1e-12)
+    axes.set_xlim(low - margin, high + margin)
+    for bound, beyond in ((p.bounds[0], low - margin), (p.bounds[1], high + margin)):
+        if low - margin <= bound <= high + margin:
+            axes.axvspan(
+                min(bound, beyond),
+                max(bound, beyond),
+                facecolor="none",
+                edgecolor=NOMINAL,
+                hatch="////",
+                lw=0,
+            )
+    axes.set_ylim(
+        min(-0.05 * PROFILE_TOP * CHI2_95, 1.1 * float(p.rise.min())), PROFILE_TOP * CHI2_95
+    )
+    axes.set_title(p.label, fontsize=9)
+    axes.set_xlabel(f"[{p.unit}]" if p.unit not in ("", "-") else "value", fontsize=8)
+    axes.tick_params(labelsize=8)
+    axes.locator_params(axis="x", nbins=4)
+    axes.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4), useMathText=True)
+
+
+def correlation_figure(c: Certainty) -> Figure:
+    """The matrix with its numbers, blue and red for the two signs."""
+    names, count = [p.label for p in c.profiles], len(c.profiles)
+    size = 0.62 * count + 2.4
+    figure, axes = new_figure(size + 1.4, size)
+    drawn = axes.imshow(c.correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    for i in range(count):
+        for j in range(count):
+            value = float(c.correlation[i, j])
+            text, dark = ("?" if np.isnan(value) else f"{value:.2f}"), abs(value) > 0.6
+            axes.text(
+                j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else "black"
+            )
+    axes.set_xticks(range(count), names, rotation=40, ha="right", fontsize=8)
+    axes.set_yticks(range(count), names, fontsize=8)
+    figure.colorbar(drawn, ax=axes, shrink=0.8, label="correlation")
     return figure
 
 

@@ -11,11 +11,10 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from hiltestbed.diagnosis.conclusion import Conclusion, SimulatedRun
 from hiltestbed.diagnosis.report.evidence import in_sigma
-from hiltestbed.diagnosis.report.extend import in_words
 from hiltestbed.diagnosis.report.pictures import worst_channels, worst_run
 from hiltestbed.diagnosis.report.sentence import TITLES, gain_sentence, verdict_sentence
+from hiltestbed.diagnosis.result import Conclusion, SimulatedRun
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.viewer import colors
@@ -65,7 +64,7 @@ def _words(diagnosis: Conclusion) -> str:
     """Verdict, causes, gain, next experiment: Markdown."""
     lines = [f"# {TITLES[diagnosis.verdict].capitalize()}", "", verdict_sentence(diagnosis), ""]
     rows = [
-        f"| {cause.effect} | {name} | {in_words(p)} | {cause.probability:.2f} |"
+        f"| {cause.effect} | {name} | {p.in_words()} | {cause.probability:.2f} |"
         for cause in diagnosis.causes
         for name, p in cause.parameters.items()
     ]

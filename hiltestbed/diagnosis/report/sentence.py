@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from hiltestbed.diagnosis.report.extend import in_words
+from hiltestbed.diagnosis.result import Cause, Conclusion, Heldout, Learned
 from hiltestbed.effects.table import EFFECTS
-
-if TYPE_CHECKING:
-    from hiltestbed.diagnosis.conclusion import Conclusion
-    from hiltestbed.diagnosis.result import Cause, Heldout, Learned
 
 TITLES = {
     "no_discrepancy": "the simulation agrees with the data",
@@ -31,7 +26,6 @@ WHERE = {
 
 
 def verdict_sentence(diagnosis: Conclusion) -> str:
-    """The verdict in one or two self-contained sentences."""
     finding = diagnosis.finding
     link = WHERE.get(finding.link or "", "the loop")
     where = _capital(link)
@@ -91,7 +85,7 @@ def named_cause(cause: Cause) -> str:
         if not field.is_required() and field.default == 0.0
     }
     words = ", ".join(
-        f"{name} {in_words(p)}"
+        f"{name} {p.in_words()}"
         for name, p in cause.parameters.items()
         if name not in idle or p.estimate
     )
@@ -128,33 +122,26 @@ def partial_sentence(causes: Sequence[Cause], gain: Heldout | None) -> str:
     text = f"The best extension: {' and '.join(named_cause(c) for c in causes)}."
     if gain is None:
         return f"{text} The residual is not noise."
-    low, high = (100.0 * v for v in gain.ci95)
     worth = "" if gain.significant else " That is not significant."
-    placebo = round(100.0 * gain.placebo_reduction, 1) + 0.0  # no -0.0
     return (
-        f"{text} On {len(gain.runs)} runs, each left out of the fit in turn, the residual falls "
-        f"by {100.0 * gain.reduction:.1f} % "
-        f"(95 % interval {low:.1f} to {high:.1f} %), from {gain.rms_before:.3g} to "
-        f"{gain.rms_after:.3g} times the noise; a wrong effect "
-        f"gives {placebo:.1f} %.{worth} The residual is not noise, so that something else acts as "
-        f"well."
+        f"{text} On {len(gain.runs)} runs, each left out of the fit in turn, the residual falls by "
+        f"{gain.in_words()}; a wrong effect gives {_placebo(gain)}.{worth} The residual is not "
+        f"noise, so that something else acts as well."
     )
 
 
-def learned_sentence(learned: Learned | None) -> str:
-    """The learned law and its gain; empty without one."""
-    if learned is None:
-        return ""
+def _placebo(gain: Heldout) -> str:
+    return f"{round(100.0 * gain.placebo_reduction, 1) + 0.0:.1f} %"  # no -0.0
+
+
+def learned_sentence(learned: Learned) -> str:
     gain = learned.heldout
-    low, high = (100.0 * v for v in gain.ci95)
-    text = f"A law learned from the data, {learned.effect} with {learned.numbers} numbers"
-    text += f" ({learned.equation})" if learned.equation else ""
-    text += (
-        f", lowers the residual of {len(gain.runs)} runs, each left out of the fit in turn, by "
-        f"{100.0 * gain.reduction:.1f} % "
-        f"(95 % interval {low:.1f} to {high:.1f} %), from {gain.rms_before:.3g} to "
-        f"{gain.rms_after:.3g} times the noise; fitted to "
-        f"residuals shifted by half a contact, it gives {100.0 * gain.placebo_reduction:.1f} %."
+    equation = f" ({learned.equation})" if learned.equation else ""
+    text = (
+        f"A law learned from the data, {learned.effect} with {learned.numbers} numbers{equation}, "
+        f"lowers the residual of {len(gain.runs)} runs, each left out of the fit in turn, by "
+        f"{gain.in_words()}; fitted to residuals shifted by half a contact, it gives "
+        f"{_placebo(gain)}."
     )
     if learned.resembles:
         text += f" It resembles {' and '.join(learned.resembles)}."
@@ -167,29 +154,19 @@ def learned_sentence(learned: Learned | None) -> str:
 
 
 def meaning(effect: str) -> str:
-    """What an effect is, from the vocabulary."""
     return EFFECTS[effect].meaning() if effect in EFFECTS else ""
 
 
 def gain_sentence(heldout: Heldout | None, extends: bool) -> str:
     """The gain on runs that were not fitted, against its placebo."""
+    if heldout is None and extends:
+        return "The gain was not measured on left-out runs."
     if heldout is None:
-        return (
-            "The gain was not measured on left-out runs."
-            if extends
-            else "The model was not extended, so there is no gain to measure."
-        )
-    low, high = heldout.ci95
+        return "The model was not extended, so there is no gain to measure."
     text = (
-        f"On {len(heldout.runs)} runs, each left out of the fit in turn, the residual falls from "
-        f"{heldout.rms_before:.3g} to "
-        f"{heldout.rms_after:.3g} times the noise floor: {100 * heldout.reduction:.1f} % less (95 "
-        f"% interval {100 * low:.1f} to "
-        f"{100 * high:.1f} %); "
-        f"a wrong effect of equal size gives {100 * heldout.placebo_reduction:.1f} %."
+        f"On {len(heldout.runs)} runs, each left out of the fit in turn, the residual falls by "
+        f"{heldout.in_words()}; a wrong effect of equal size gives {_placebo(heldout)}."
     )
-    return (
-        text
-        if heldout.significant
-        else text + " That is not significant: no gain is claimed and the model is not extended."
-    )
+    if heldout.significant:
+        return text
+    return f"{text} That is not significant: no gain is claimed and the model is not extended."

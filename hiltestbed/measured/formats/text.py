@@ -378,7 +378,6 @@ def _counted(columns: int, start: int) -> tuple[str, ...]:
 
 
 def _units(line: _Line) -> bool:
-    """Whether all cells of a line are units."""
     cells = _named(line)
     return all(unit_named(cell) is not None for cell in cells) and any(cells)
 

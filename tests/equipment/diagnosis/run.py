@@ -219,8 +219,6 @@ def coverage(hidden: Sequence[dict[str, Any]], causes: Sequence[Any]) -> tuple[i
 
 def true_gain(findings: Any, verdict: Any, hidden: Sequence[dict[str, Any]]) -> float | None:
     """Gain of the hidden effect at its true size, in the variant in which it was found."""
-    from hiltestbed.diagnosis import heldout
-
     cause = verdict.causes[0]
     if cause.effect != hidden[0]["kind"] or cause.effect == "log.skew":
         return None
@@ -232,7 +230,6 @@ def true_gain(findings: Any, verdict: Any, hidden: Sequence[dict[str, Any]]) -> 
     values = {n: tuple(v) if isinstance(v, list) else v for n, v in (found | true).items()}
     effect = type(fitted).hypothesis(fitted.variant, **values)
     before, after = (
-        [heldout.mean_square(residual, i, effects) for i in residual.runs]
-        for effects in ((), (effect,))
+        [residual.mean_square(i, effects) for i in residual.runs] for effects in ((), (effect,))
     )
     return 1.0 - float(np.sqrt(sum(after) / sum(before))) if sum(before) > 0 else None
