@@ -215,7 +215,9 @@ def input_variance(record: Record, group: str, noise: Array) -> Array:
     if group in record.bends:
         stride = record.rate / record.sample_rate
         bend = interpolation_error(record, group)
-        out += np.where(bend != 0.0, stride * bend**2 + (1.0 + stride) * noise**2, 0.0)
+        kink = _kinks(np.abs(bend), math.ceil(stride) + 1)
+        out += stride * np.maximum(bend**2, kink**2)
+        out += np.where(bend != 0.0, (1.0 + stride) * noise**2, 0.0)
     for j, name in enumerate(GROUPS[group].columns):
         if name in record.absent:
             continue
@@ -357,8 +359,13 @@ def kink_errors(record: Record, group: str) -> Array:
     """
     # a tick without a row lies further from a line, up to four times
     size = np.where(record.valid[group], np.abs(interpolation_error(record, group)), 0.0)
+    return _kinks(size, KINK_ROWS)
+
+
+def _kinks(size: Array, rows: int) -> Array:
+    """(N, C) error within so many rows of a bend ``size`` (N, C) that is far from usual; else 0."""
     usual = np.array([float(np.median(x[x > 0.0])) if x.any() else 0.0 for x in size.T])
-    peak = maximum_filter1d(size, KINK_ROWS, axis=0)
+    peak = maximum_filter1d(size, rows, axis=0)
     return np.where(peak > KINK_RATIO * usual, 2.0 * peak, 0.0)
 
 
