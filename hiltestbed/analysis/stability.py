@@ -113,7 +113,7 @@ class Stability:
         if self.largest_delay is not None:
             size, now = (
                 f"{1e3 * abs(self.largest_delay):.3g} ms",
-                f"now {1e3 * round(self.delay, 9):.3g} ms uncompensated",
+                f"{1e3 * round(self.delay, 9):.3g} ms remain after compensation",
             )
             parts.append(
                 f"largest delay {size} ({now})"

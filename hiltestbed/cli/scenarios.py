@@ -389,7 +389,7 @@ def schema(
     bandwidth
     """
     from hiltestbed.config.check import KINDS, json_schema
-    from hiltestbed.config.keys import at, keys_of
+    from hiltestbed.config.keys import at, keys_of, text_of
     from hiltestbed.config.keys import search as search_keys
 
     kind, _, key = what.partition(".")
@@ -405,4 +405,4 @@ def schema(
             f"schema: no key of a {kind} mentions {search!r}; fewer words, or a part of one, find "
             f"more"
         )
-    print(*found, sep="\n")
+    print(text_of(found))

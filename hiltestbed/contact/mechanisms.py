@@ -34,16 +34,22 @@ class Described(_Shipped):
     contact: Contact = Field(
         # never used: the validator below fills it in
         default_factory=lambda: Contact(stiffness=1.0),
-        description="Stiffness, damping and friction of the first class of pairs; omitted: the "
-        "values in the mechanism's own description",
+        description="Stiffness, damping and friction of the first class of pairs; what is omitted: "
+        "as in the mechanism's own description",
     )
 
     @model_validator(mode="before")
     @classmethod
     def _first_class(cls, data: Any) -> Any:
-        if not isinstance(data, dict) or "contact" in data or not cls.folder:
+        """What ``contact`` leaves out is that of the first class of pairs."""
+        if not isinstance(data, dict) or not isinstance(given := data.get("contact", {}), dict):
             return data
-        return {**data, "contact": _numbers(cls.described().contact[0]).model_dump()}
+        return {**data, "contact": cls._own_contact(data) | given}
+
+    @classmethod
+    def _own_contact(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """The numbers of the first class of pairs."""
+        return _numbers(cls.described().contact[0]).model_dump()
 
     @classmethod
     def described(cls) -> description.MechanismFile:
@@ -151,21 +157,13 @@ class Mjcf(Described):
         default=(), description="Phases of capture, in order"
     )
 
-    @model_validator(mode="before")
     @classmethod
-    def _of_the_first_pair(cls, data: Any) -> Any:
-        if not isinstance(data, dict) or "contact" in data:
-            return data
+    def _own_contact(cls, data: dict[str, Any]) -> dict[str, Any]:
         pairs = data.get("pairs")
         first = pairs[0] if isinstance(pairs, (list, tuple)) and pairs else {}
-        return {
-            **data,
-            "contact": {
-                k: first[k]
-                for k in ("stiffness", "damping", "friction")
-                if isinstance(first, dict) and k in first
-            },
-        }
+        if isinstance(first, Touching):
+            first = first.model_dump()
+        return {k: first[k] for k in Contact.model_fields if isinstance(first, dict) and k in first}
 
     def files(self) -> tuple[Path, Path]:
         return Path(self.active), Path(self.passive)

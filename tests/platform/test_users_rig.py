@@ -112,6 +112,25 @@ def test_parallel_rigs_work_as_well(rig) -> None:
     assert max(apart(stand.pose[0], pose[0])) < 2e-4
 
 
+THREE_SLIDES = """
+<mujoco>
+  <worldbody>
+    <body name="slide">
+      <joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
+      <joint name="y" type="slide" axis="0 1 0" range="-1 1"/>
+      <joint name="z" type="slide" axis="0 0 1" range="-1 1"/>
+      <geom type="box" size="0.1 0.1 0.02" mass="20"/>
+      <site name="mount"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <position joint="x" kp="1e6" kv="1e4"/>
+    <position joint="y" kp="1e6" kv="1e4"/>
+    <position joint="z" kp="1e6" kv="1e4"/>
+  </actuator>
+</mujoco>"""
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -120,6 +139,7 @@ def test_parallel_rigs_work_as_well(rig) -> None:
             HUNG.replace(B_DRIVE, "").replace(B_JOINT, ""),
             r"5 position actuators do not move 'mount' in six axes: no motion about y",
         ),
+        (THREE_SLIDES, r"no motion about [xyz] or about [xyz] or about [xyz]"),
         (HUNG.replace(B_DRIVE, ""), r"'rig/b' is neither driven nor constrained"),
         (HUNG.replace(B_DRIVE, '<motor joint="b"/>'), r"not position servos do not count"),
         (HUNG.replace("</worldbody>", ""), r"is not a model that MuJoCo compiles"),

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from hiltestbed.config.models import models_folder
+from hiltestbed.contact.settings import MECHANISMS
 from hiltestbed.errors import InputError
 from hiltestbed.scenario import dump_scenario, load_scenario, scenario_from, scenario_sha256
 
@@ -258,3 +260,16 @@ def test_an_override_leaves_its_source_alone() -> None:
     before = copy.deepcopy(data)
     assert scenario_from(data, {"approach.velocity.0": 0.01}).approach.velocity[0] == 0.01
     assert data == before
+
+
+def test_a_contact_keeps_what_an_override_leaves_out() -> None:
+    own = load_scenario("15-ring-docking").mechanism.contact
+    softer = load_scenario("15-ring-docking", {"mechanism.contact.stiffness": 1e5})
+    assert own.damping > 0.0
+    assert softer.mechanism.contact == own.model_copy(update={"stiffness": 1e5})
+    sides = {
+        side: str(models_folder() / "bumper" / f"{side}.xml") for side in ("active", "passive")
+    }
+    pairs = [{"active": "*", "passive": "*", "stiffness": 8e4, "damping": 120.0}]
+    mine = MECHANISMS["mjcf"](kind="mjcf", **sides, pairs=pairs, contact={"stiffness": 1e5})
+    assert (mine.contact.stiffness, mine.contact.damping) == (1e5, 120.0)

@@ -218,7 +218,9 @@ class Kinematics:
         return _null_space(self._work.rows[:count])
 
     def lost_motion(self, q: Array) -> str | None:
-        """The motion of the first tool that the drives cannot produce, or cannot resist."""
+        """The motions of the first tool that the drives cannot produce, or one that they cannot
+        resist.
+        """
         twists, free = self.jacobian(q)
         if free.shape[1]:
             joint = self._names[int(self._joint_of(int(np.argmax(np.abs(free[:, 0])))))]
@@ -229,9 +231,11 @@ class Kinematics:
         left, values, _ = np.linalg.svd(scaled)
         values = np.concatenate([values, np.zeros(6 - len(values))])
         middle = math.sqrt(values[2] * values[3])
-        slow = values[-1] < SLOWEST or middle > values[-1] * max(LOOSEST, values[0] / middle)
-        if slow:
-            return f"no motion {direction(left[:, -1])}"
+        least = SLOWEST
+        if middle > 0.0:
+            least = max(least, middle / max(LOOSEST, values[0] / middle))
+        if lost := [direction(left[:, i]) for i in np.flatnonzero(values < least)]:
+            return f"no motion {' or '.join(dict.fromkeys(lost))}"
         if values[0] > LOOSEST * middle:
             return f"no stiffness {direction(left[:, 0])}"
         return None
