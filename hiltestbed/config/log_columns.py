@@ -45,12 +45,16 @@ def read_log(path: Path) -> Log:
     known = read_columns(file, frozenset())
     names, bare = known.names, all(name.isdigit() for name in known.names)
     columns = _loaded(file, names)
+    found = {n: role_of(n, columns.units.get(n, "")) for n in names if n in columns.data}
+    moving = {n: role for n, role in found.items() if _moves(columns.data[n])}
+    # an attitude is whole or none: an angle belongs to it though it does not change
+    turned = {(r.part[:1], r.commanded) for r in moving.values() if r.angular}
     roles = {
-        name: role_of(name, columns.units.get(name, ""))
-        for name in names
-        if name in columns.data and _moves(columns.data[name])
+        n: role
+        for n, role in found.items()
+        if n in moving or (role.angular and (role.part[:1], role.commanded) in turned)
     }
-    if not roles:
+    if not moving:
         raise InputError(
             f"{path}: holds no column of numbers that change (columns: {listed(names)}); allowed "
             "is a log of at least two rows of a motion; record the run again"

@@ -313,3 +313,11 @@ def test_the_command_says_what_it_wrote(tmp_path: Path) -> None:
 def test_names_say_what_a_column_is(column: str, quantity: str, part: str, unit: str) -> None:
     role = role_of(column)
     assert (role.quantity, role.part, role.unit) == (quantity, part, unit)
+
+
+def test_an_angle_that_does_not_change_belongs_to_its_attitude() -> None:
+    t = np.arange(400) / 1000.0
+    angles = {"roll_deg": 0.1 * t, "pitch_deg": 0.2 * t, "yaw_deg": 0.0 * t}
+    places = {f"{axis}_mm": 10.0 * t for axis in "xyz"}
+    found = write_from_log("rig", log(t=t, **places, Fz_N=t, **angles), "dataset")
+    assert found.guesses["pose_act.rz"] == "yaw_deg"

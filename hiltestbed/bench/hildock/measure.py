@@ -73,10 +73,17 @@ def _digits(value: float | None) -> str:
     return "no rebound" if value is None else f"{value:.4g}"
 
 
+def _entered_by_user(names: Sequence[str]) -> list[str]:
+    """Of the entrants those that do not come with the benchmark: plugins, and foreign ones."""
+    mine = {method.name for method in METHODS}
+    return [n for n in names if n not in mine and not n.startswith("shipped ")]
+
+
 def _peaks(records: Sequence[dict[str, Any]], names: Sequence[str]):
     figure, axis = new_figure(10, 4)
     exact = [r for r in records if r["track"] == "exact"]
     shown = [n for n in names if n in ("none", "phase_lead") or "resynchronised" in n]
+    shown += _entered_by_user(names)
     for name in [*shown, "bound"]:
         mine = [r for r in exact if r["method"] == (names[0] if name == "bound" else name)]
         index = "peak_force_bound" if name == "bound" else "peak_force_error"
@@ -111,7 +118,9 @@ def _report(
     marks = "osv^D"  # with ten colours: fifty entrants are told apart
     for i, name in enumerate(names):
         worst = [board[name][t]["cor_log_error_worst"] or float("nan") for t in TRACKS]
-        axis.semilogy(TRACKS, worst, f"{marks[i // 10 % len(marks)]}-", label=name)
+        wide = 3.0 if name in _entered_by_user(names) else 1.0
+        style = f"{marks[i // 10 % len(marks)]}-"
+        axis.semilogy(TRACKS, worst, style, label=name, linewidth=wide, zorder=1.0 + wide)
     axis.set_ylabel("worst |ln(e/e_ref)|")
     axis.tick_params(axis="x", rotation=30)
     axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize="small")
