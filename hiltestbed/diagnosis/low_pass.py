@@ -132,8 +132,10 @@ def low_pass_between(
     counted = [k.copy() for k in known]
     for k in counted:
         k[:END_ROWS] = k[max(len(k) - END_ROWS, 0) :] = False
+    if not any(k.any() for k in counted):
+        return None
     inside = np.concatenate([b[k] for b, k in zip(before, counted, strict=True)])
-    size = np.sqrt(np.mean(inside**2, axis=0)) if len(inside) else np.zeros(1)
+    size = np.sqrt(np.mean(inside**2, axis=0))
     if not (size > 0.0).any():
         return None
     size = np.where(size > 0.0, size, np.inf)

@@ -181,7 +181,8 @@ def force_noise(
     """
     found = _noise(runs, logged, shown or [np.zeros((r.record.ticks, 6)) for r in runs])
     steps = (r.record.steps[name] for r in runs for name in CHANNELS[:3] if undithered(r, name))
-    step, stated = max(steps, default=0.0), max(r.scenario.sensor.quantisation for r in runs)
+    step = max(steps, default=0.0)
+    stated = max((r.scenario.sensor.quantisation for r in runs), default=0.0)
     return replace(found, step=step) if step > STEP_TOLERANCE * stated else found
 
 

@@ -42,7 +42,7 @@ def run(noise: Array, touch: int = TOUCH) -> MeasuredRun:
         contacts=[SimpleNamespace(start=touch, end=END)], touching=lambda rows, late: contact
     )
     scenario: Any = SimpleNamespace(
-        sensor=SimpleNamespace(delay=0.0),
+        sensor=SimpleNamespace(delay=0.0, quantisation=0.0),
         rate=1000.0,
         mechanism=SimpleNamespace(captured=False, mount=None),
     )
@@ -73,7 +73,9 @@ def latched(noise: Array, crosstalk: float = 0.0) -> MeasuredRun:
         contacts=contacts, touching=lambda rows, late: every, excited=("pose_act.pz",)
     )
     scenario: Any = SimpleNamespace(
-        sensor=SimpleNamespace(delay=0.0), rate=1000.0, mechanism=SimpleNamespace(captured=True)
+        sensor=SimpleNamespace(delay=0.0, quantisation=0.0),
+        rate=1000.0,
+        mechanism=SimpleNamespace(captured=True),
     )
     return MeasuredRun(record, scenario, survey)  # type: ignore[arg-type]
 
