@@ -113,23 +113,24 @@ def machine(r: Record) -> Iterable[str]:
     if r["parameters"]:
         yield "| effect | parameter | estimate | 95 % interval | published | removes | as likely |"
         yield "|---|---|---|---|---|---|---|"
-    for cause in r["parameters"]:
+    for cause in (*r["parameters"], *r["undetermined"]):
+        open_ = "" if cause in r["parameters"] else ", not determined"
         for parameter, p in cause["parameters"].items():
             ends = "" if p["ci95"] is None else "{:.4g} to {:.4g}".format(*p["ci95"])
             rivals = ", ".join(f"`{x}`" for x in cause["indistinguishable_from"])
             yield (
-                f"| `{cause['effect']}` | {parameter} | {p['estimate']:.4g} "
+                f"| `{cause['effect']}`{open_} | {parameter} | {p['estimate']:.4g} "
                 f"{'' if p['unit'] == '-' else p['unit']} | {ends} | "
                 f"{published(r, cause['effect'], parameter, p['ci95'])} | "
                 f"{100.0 * cause['gain']:.0f} % | {rivals} |"
             )
-    named = {p for c in r["parameters"] for p in c["parameters"]}
+    named = {p for c in (*r["parameters"], *r["undetermined"]) for p in c["parameters"]}
     believed = r["nominal_numbers"].items()
-    open_ = {k: v for k, v in r["published"].items() if k not in named and (k, v) not in believed}
-    if open_:
+    others = {k: v for k, v in r["published"].items() if k not in named and (k, v) not in believed}
+    if others:
         yield (
             "\nPublished, and no parameter of a cause: "
-            + ", ".join(f"{k} {v:.4g}" for k, v in open_.items())
+            + ", ".join(f"{k} {v:.4g}" for k, v in others.items())
             + "."
         )
     yield from ("", f"Source: {r['source']}. Licence: {r['licence']}.")

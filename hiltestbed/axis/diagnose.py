@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -20,16 +19,14 @@ import numpy as np
 
 from hiltestbed.axis.dataset import LoadedAxis, load_axis
 from hiltestbed.axis.models import AxisModel
-from hiltestbed.axis.result import CLOSE, AxisCause, AxisFinding
+from hiltestbed.axis.result import CLOSE, EXTENDING, AxisCause, AxisFinding
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
-from hiltestbed.inference.conclude import Confirmed, SearchConclusion, conclude
+from hiltestbed.inference.conclude import Confirmed, SearchConclusion, beyond_chance, conclude
 from hiltestbed.inference.likelihood import Likelihood, independent
 from hiltestbed.inference.model import Hypothesis
 from hiltestbed.inference.search import Searched, search
 
-# of the rms of a constant on left-out runs: a model that is no better says nothing of its input
-LEAST_BETTER = 0.9
 OF_ROTATION = {  # units of an axis that slides, and of one that turns
     "m": "rad",
     "m/s": "rad/s",
@@ -65,7 +62,7 @@ def diagnose_axis(path: str | Path | LoadedAxis, progress: Progress | None = Non
     found = diagnosed(model, progress)
     remarks = (*loaded.remarks, *found.remarks)
     elapsed = time.monotonic() - start
-    return AxisDiagnosis(loaded, model, *found[:5], remarks, elapsed)
+    return AxisDiagnosis(loaded, model, *found[:-1], remarks, elapsed)
 
 
 class Diagnosed(NamedTuple):
@@ -73,6 +70,8 @@ class Diagnosed(NamedTuple):
 
     verdict: str
     causes: tuple[AxisCause, ...]
+    undetermined: tuple[AxisCause, ...]
+    extension: tuple[AxisCause, ...]
     conclusion: SearchConclusion | None
     constant: Array
     floors: Array
@@ -82,13 +81,19 @@ class Diagnosed(NamedTuple):
 def diagnosed(model: AxisModel, progress: Progress | None = None) -> Diagnosed:
     """Search, left-out runs and verdict on the records of a model."""
     if why := model.tells_nothing():
-        return Diagnosed("inconclusive", (), None, np.zeros(0), model.floors, (why,))
+        return Diagnosed("inconclusive", (), (), (), None, np.zeros(0), model.floors, (why,))
     constant = np.array([spread(test.measured()) for _, _, test in model.folds()])
     with np.errstate(all="ignore"):
         found = searched(model, progress)
-        conclusion = conclude(found, model.folds(), model.candidates(), progress)
-    verdict, causes, floors, remarks = decide(model, found, conclusion, constant)
-    return Diagnosed(verdict, causes, conclusion, constant, floors, remarks)
+        c = conclude(found, model.folds(), model.candidates(), progress)
+    floors = np.maximum(model.floors, model.repeatability())
+    kinds = {x.kind for x in model.candidates()}
+    sizes = ([x for x in c.causes if x.determined], [x for x in c.causes if not x.determined])
+    causes, undetermined, extension = (merged(x, kinds, model.turns) for x in (*sizes, c.causes))
+    verdict, remarks = decide(model, causes, c, constant, floors)
+    if verdict not in EXTENDING:
+        causes, undetermined, extension = (), (), ()
+    return Diagnosed(verdict, causes, undetermined, extension, c, constant, floors, remarks)
 
 
 def searched(model: AxisModel, progress: Progress | None = None) -> Searched:
@@ -104,26 +109,26 @@ def spread(parts: Sequence[Array]) -> float:
 
 
 def decide(
-    model: AxisModel, found: Searched, c: SearchConclusion, constant: Array
-) -> tuple[str, tuple[AxisCause, ...], Array, tuple[str, ...]]:
-    """Verdict, causes, noise floors and remarks."""
-    floors = np.maximum(model.floors, model.repeatability())
-    null_noise = bool(np.all(c.null.rms() <= CLOSE * floors))
-    causes = merged(c.causes, {x.kind for x in model.candidates()}, model.turns)
+    model: AxisModel,
+    causes: Sequence[AxisCause],
+    c: SearchConclusion,
+    constant: Array,
+    floors: Array,
+) -> tuple[str, tuple[str, ...]]:
+    """Verdict and remarks."""
     if not causes:
-        return ("no_discrepancy" if null_noise else "unknown"), (), floors, ()
-    if model.kind != "drive" and float(np.mean(np.log(c.after / constant))) > math.log(
-        LEAST_BETTER
-    ):
+        noise = bool(np.all(c.null.rms() <= CLOSE * floors))
+        return ("no_discrepancy" if noise else "unknown"), ()
+    if model.kind != "drive" and not beyond_chance(np.log(constant / c.after)):
         text = (
             "On left-out runs no model is better than a constant: the output does not follow the "
             "input."
         )
-        return "unknown", (), floors, (text,)
+        return "unknown", (text,)
     if np.all(c.fit.rms() <= CLOSE * floors):
         open_ = any(x.indistinguishable_from for x in causes)
-        return ("ambiguous" if open_ else "named"), causes, floors, ()
-    return "named_in_part", causes, floors, ()
+        return ("ambiguous" if open_ else "named"), ()
+    return "named_in_part", ()
 
 
 def merged(

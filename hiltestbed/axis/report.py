@@ -53,8 +53,11 @@ def extended_yaml(d: AxisFinding) -> str:
         run["file"] = str(folder / entry.file) if "${" not in entry.file else entry.file
     if "model" in data and "${" not in data["model"]:
         data["model"] = str(folder / data["model"])
-    data["effects"] = [*data.get("effects", []), *(c.entry() for c in d.causes if d.extends)]
+    data["effects"] = [*data.get("effects", []), *(c.entry() for c in d.extension)]
     head = "# The axis with the effects that its diagnosis named.\n" if d.extends else ""
+    if d.undetermined:
+        weak = ", ".join(x.effect for x in d.undetermined)
+        head += f"# Not determined by its records, and needed to predict them: {weak}.\n"
     return head + json.dumps(data, indent=2) + "\n"
 
 
@@ -72,7 +75,7 @@ def page_of(d: AxisFinding) -> Report:
             report.text(f"{cause.effect}: {effect.meaning()} {effect.equation}")
         rows = [
             (
-                cause.effect,
+                cause.effect + ("" if cause in d.causes else " (not determined)"),
                 name,
                 (value if isinstance(value, str) else f"{value:.5g}")
                 + ("" if ends is None else f" ({ends[0]:.4g} to {ends[1]:.4g})"),
@@ -81,7 +84,7 @@ def page_of(d: AxisFinding) -> Report:
                 f"{cause.probability:.2f}",
                 ", ".join(cause.indistinguishable_from) or "nothing else",
             )
-            for cause in d.causes
+            for cause in (*d.causes, *d.undetermined)
             for name, (value, ends, own) in cause.parameters.items()
         ]
         report.table(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.axis.dataset import LoadedAxis
+from hiltestbed.axis.effects.base import AXIS_EFFECTS
 from hiltestbed.axis.models import AxisModel
 from hiltestbed.axis.motion import noise_of
 from hiltestbed.axis.remainder import Remainder, remainder_of
@@ -24,6 +25,7 @@ from hiltestbed.run_folder.versions import versions
 
 # times the noise: a residual that a test engineer calls noise
 CLOSE = 1.5
+EXTENDING = ("named", "ambiguous", "named_in_part")  # verdicts with a model to offer
 LINKS = {"drive": "dynamics", "servo": "platform", "damper": "contact", "arm": "dynamics"}
 WORDS = {
     "drive": "the drive (force to position)",
@@ -89,15 +91,19 @@ class AxisFinding:
 
     Attributes:
         loaded: the data. model: nominal. verdict: as of any diagnosis. causes: those that remove
-            most first. conclusion: the fit behind them, None where none was sought. constant: (R,)
-            rms of each left-out run about its own mean. floors: (R,) noise in the unit of the
-            residual. remarks: on the data and the verdict.
+            most first. undetermined: effects without which the left-out runs are predicted worse,
+            but whose size may be none. extension: both of these, as the model that is offered has
+            them. conclusion: the fit behind them, None where none was sought. constant: (R,) rms of
+            each left-out run about its own mean. floors: (R,) noise in the unit of the residual.
+            remarks: on the data and the verdict.
     """
 
     loaded: LoadedAxis
     model: AxisModel
     verdict: str
     causes: tuple[AxisCause, ...]
+    undetermined: tuple[AxisCause, ...]
+    extension: tuple[AxisCause, ...]
     conclusion: SearchConclusion | None
     constant: Array
     floors: Array
@@ -117,7 +123,7 @@ class AxisFinding:
     @property
     def extends(self) -> bool:
         """Whether the model is extended."""
-        return bool(self.causes) and self.verdict in ("named", "ambiguous", "named_in_part")
+        return self.verdict in EXTENDING
 
     def __repr__(self) -> str:
         causes = ", ".join(c.effect for c in self.causes) or "no cause"
@@ -136,13 +142,23 @@ class AxisFinding:
         start = f"{where[0].upper()}{where[1:]} departs from its nominal model"
         if self.verdict == "unknown":
             return f"{start}, and no effect of the vocabulary explains it. {self._left()}"
-        causes = "; ".join(c.words() for c in self.causes)
+        causes = "; ".join(c.words() for c in self.causes) + self._together()
         if self.verdict == "named_in_part":
             return f"{start}. In part this is {causes}. {self._carried()} {self._left()}"
         text = f"{start}: {causes}. {self._carried()}"
         if self.verdict == "ambiguous":
             return f"{text} These data cannot decide which of them it is."
         return text
+
+    def _together(self) -> str:
+        """The sum of the forces at which elements in parallel slide, each of which has one."""
+        forces = [
+            c.parameters["force"][0]
+            for c in self.causes
+            if AXIS_EFFECTS[c.effect].parallel and "force" in c.parameters
+        ]
+        unit = "N m" if self.model.rotates else "N"
+        return f" (together {sum(forces):.4g} {unit})" if len(forces) > 1 else ""
 
     @cached_property
     def doubt(self) -> str:
@@ -164,10 +180,18 @@ class AxisFinding:
         if c is None:
             return ""
         before, after = together(c.before), together(c.after)
-        return (
+        said = (
             f"On {'runs' if whole else 'stretches'} that were not fitted the departure falls from "
             f"{before:.3g} to {after:.3g} {self.loaded.units()[1]} rms, by "
-            f"{100.0 * (1.0 - after / before):.4g} %."
+            f"{100.0 * (1.0 - after / before):.4g} %"
+        )
+        if c.alone is None or not self.undetermined:
+            return f"{said}."
+        also = "; ".join(x.words() for x in self.undetermined)
+        return (
+            f"{said}, with {also} beside it, whose size these records do not determine: it may "
+            f"stand for something else. Without it the departure falls to "
+            f"{together(c.alone):.3g} {self.loaded.units()[1]}."
         )
 
     def _compared(self) -> int:
@@ -184,6 +208,7 @@ class AxisFinding:
             "sentence": self.sentence(),
             "link": self.link,
             "causes": [x.to_json() for x in self.causes],
+            "undetermined": [x.to_json() for x in self.undetermined],
             "not_judged": {},
             "overridden": [],
             "partial": {"sentence": "", "causes": [], "heldout": None},

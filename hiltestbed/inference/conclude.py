@@ -64,6 +64,7 @@ class Confirmed:
     probability: float
     rivals: tuple[str, ...]
     others: tuple[PosteriorFit, ...] = ()
+    determined: bool = True
 
     @property
     def effect(self) -> Any:
@@ -78,9 +79,9 @@ class SearchConclusion:
     Attributes:
         fit: the hypothesis that is offered, fitted to all runs; null: nothing departs.
         causes: of the fit, those that remove most first. before, after: (R,) rms of each run when
-            it is left out, in the unit of the record, of the null and of the fit. visited: what was
-            compared. ends: (P, 2) of the 95 % intervals of the parameters of the fit. likelihood:
-            by which they were.
+            it is left out, in the unit of the record, of the null and of the fit; alone: of the
+            causes alone that are determined, None where all are. visited: what was compared by the
+            likelihood. ends: (P, 2) of the 95 % intervals of the parameters of the fit.
     """
 
     fit: PosteriorFit
@@ -88,6 +89,7 @@ class SearchConclusion:
     causes: tuple[Confirmed, ...]
     before: Array
     after: Array
+    alone: Array | None
     visited: tuple[PosteriorFit, ...]
     ends: Array
     likelihood: Likelihood
@@ -131,22 +133,25 @@ class LeftOut:
         costs = [left.cost(x) for x, (_, left) in zip(scored, self._folds, strict=True)]
         return sum(costs) / (2.0 * sum(float(left.counts.sum()) for _, left in self._folds))
 
-    def worse(self, one: PosteriorFit, other: PosteriorFit, certain: bool = False) -> bool:
-        """Whether ``one`` predicts the left-out parts worse than the ``other``: by more than
-        :data:`LEAST_GAIN`, and by more than a standard error of the difference over the parts (L.
-        Breiman, J. Friedman, R. Olshen, C. Stone, Classification and Regression Trees, 1984).
-        ``certain``: by as many of them as chance reaches once in twenty.
-        """
-        more = self._log_rms(one) - self._log_rms(other)
-        error = float(np.std(more, ddof=1)) / math.sqrt(len(more))
-        errors = float(student.ppf(0.95, len(more) - 1)) if certain else 1.0
-        return float(np.mean(more)) > max(LEAST_GAIN, errors * error)
+    def worse(self, one: PosteriorFit, other: PosteriorFit) -> bool:
+        """Whether ``one`` predicts the left-out parts worse than the ``other``."""
+        return beyond_chance(self._log_rms(one) - self._log_rms(other))
 
     def _log_rms(self, found: PosteriorFit) -> Array:
         """(F,) logarithm of the rms of the residual of each left-out part."""
         pairs = zip(self.fits(found), self._folds, strict=True)
         each = [_rms(left.model.scored(f.of)) for f, (_, left) in pairs]
         return np.log(np.maximum(each, 1e-300))
+
+
+def beyond_chance(more: Array) -> bool:
+    """Whether the logarithms of an rms that one model leaves ``more`` than another on each of the
+    left-out parts (F,) say that it is worse: by more than :data:`LEAST_GAIN`, and by more than
+    a standard error over the parts (L. Breiman, J. Friedman, R. Olshen, C. Stone, Classification
+    and Regression Trees, 1984).
+    """
+    error = float(np.std(more, ddof=1)) / math.sqrt(len(more))
+    return float(np.mean(more)) > max(LEAST_GAIN, error)
 
 
 def _rms(parts: Sequence[Array]) -> float:
@@ -164,53 +169,23 @@ def conclude(
     with fewer causes, predicts the parts that were not fitted better. Where the noise is known,
     causes are left out, the least useful first, while these are predicted as well without them.
     """
-    held, likelihood = LeftOut(found.likelihood, folds), found.likelihood
-    known = likelihood.model.noise_known
-    settled, judge = _in_time(found, folds) or (None, held)
+    trial = _Trial(found, folds)
+    null, known = found.null, trial.known
     if progress:
         progress("left-out runs: the hypotheses with the most evidence")
-    fit = found.best if found.best.evidence > found.null.evidence else found.null
-    pool = [] if known else _pool(found)
-    # what is known to leave noise alone is right as far as these data tell
-    enough = likelihood.model.leaves_noise(fit.left)
-    while not enough:
-        if progress:
-            progress(f"left-out runs: {named(fit)}")
-        fewer = [without(likelihood, fit, i) for i in range(len(fit.causes))]
-        if known:
-            better = [f for f in fewer if judge.score(f) <= judge.score(fit)]
-            better.sort(key=judge.score)
-        else:
-            better = [f for f in (*pool, *fewer) if judge.worse(fit, f)]
-            better.sort(key=lambda f: -f.evidence)
-        if not better:
-            break
-        fit = better[0]
-    ends = intervals(likelihood, fit, held)
-    open_ = undetermined(fit, ends)
-    while open_:
-        fewer_ = without(likelihood, fit, open_.pop(0))
-        told = likelihood.again(fit).evidence - fewer_.evidence > TOLD_APART
-        if known or not (told or judge.worse(fewer_, fit, certain=True)):
-            fit, ends = fewer_, intervals(likelihood, fewer_, held)
-            open_ = undetermined(fit, ends)
-    score = judge.score(fit)
-    null = found.null
+    fit, settled, ends, weak = _determined(trial, _selected(trial, found, progress))
+    judge, likelihood = trial.judge, found.likelihood
     before, after = judge.rms(null), judge.rms(fit)
-    if settled is not None and fit.causes:
-        # where the two estimates differ, the model is wrong by that much
-        whole = settled.fit(fit.causes, [fit.of.theta], fit.of.nuisances)
-        own = intervals(settled, whole, judge)
-        ends = np.column_stack(
-            [np.minimum(ends[:, 0], own[:, 0]), np.maximum(ends[:, 1], own[:, 1])]
-        )
-        fit = replace(fit, of=whole.of)
     if known:
         worse_than_none = judge.score(fit) > judge.score(null)
     else:
         worse_than_none = float(np.mean(np.log(after))) > float(np.mean(np.log(before)))
     if fit.causes and worse_than_none:
-        fit, after, ends = null, before, np.zeros((0, 2))
+        fit, settled, after, ends, weak = null, null, before, np.zeros((0, 2)), frozenset[int]()
+    alone = None
+    if weak:
+        alone = judge.rms(_without_all(likelihood, fit, weak))
+    fit, score = replace(fit, of=settled.of), judge.score(fit)
     causes = []
     for i, (cause, own) in enumerate(zip(fit.causes, places(fit.causes), strict=True)):
         estimates = tuple(
@@ -219,17 +194,94 @@ def conclude(
         )
         if cause.sigma is not None or likelihood.model.negligible(fit.of, i):
             continue
-        fewer_ = without(likelihood, fit, i)
-        worse = judge.score(fewer_) - score if not known else _more_left(likelihood, fewer_, fit)
-        others, probability = _rivals(likelihood, fit, i, fewer_, candidates)
+        fewer = without(likelihood, fit, i)
+        worse = judge.score(fewer) - score if not known else _more_left(likelihood, fewer, fit)
+        others, probability = _rivals(likelihood, fit, i, fewer, candidates)
         gain = 1.0 - math.exp(-worse)
-        causes.append(
-            Confirmed(cause, estimates, gain, probability, tuple(others), tuple(others.values()))
-        )
+        said = cause, estimates, gain, probability
+        causes.append(Confirmed(*said, tuple(others), tuple(others.values()), i not in weak))
     causes.sort(key=lambda c: -c.gain)
     likelihood.forget()
-    rms = before, after
+    rms = before, after, alone
     return SearchConclusion(fit, null, tuple(causes), *rms, found.visited, ends, likelihood)
+
+
+class _Trial:
+    """By what hypotheses are compared: the likelihood of the search, that of what the owner
+    compares, and the left-out runs of the latter.
+    """
+
+    def __init__(self, found: Searched, folds: Sequence[Fold]) -> None:
+        self.likelihood = found.likelihood
+        self.known = self.likelihood.model.noise_known
+        self.owner, self.judge = _in_time(found, folds) or (
+            self.likelihood,
+            LeftOut(self.likelihood, folds),
+        )
+
+    def settled(self, fit: PosteriorFit) -> tuple[PosteriorFit, Array]:
+        """The fit by what the owner compares, with the ends of its intervals. They hold the
+        estimate of the search as well: where the two differ, the model is wrong by that much.
+        """
+        if self.owner is self.likelihood:
+            return fit, intervals(self.owner, fit, self.judge)
+        there = self.owner.fit(fit.causes, [fit.of.theta], fit.of.nuisances)
+        ends = intervals(self.owner, there, self.judge)
+        low, high = np.minimum(ends[:, 0], fit.of.theta), np.maximum(ends[:, 1], fit.of.theta)
+        return there, np.column_stack([low, high])
+
+
+def _selected(trial: _Trial, found: Searched, progress: Progress | None) -> PosteriorFit:
+    """The hypothesis with the most evidence that none predicts the left-out runs better than."""
+    likelihood, judge = trial.likelihood, trial.judge
+    fit = found.best if found.best.evidence > found.null.evidence else found.null
+    pool = [] if trial.known else _pool(found)
+    # what is known to leave noise alone is right as far as these data tell
+    while not likelihood.model.leaves_noise(fit.left):
+        if progress:
+            progress(f"left-out runs: {named(fit)}")
+        fewer = [without(likelihood, fit, i) for i in range(len(fit.causes))]
+        if trial.known:
+            better = [f for f in fewer if judge.score(f) <= judge.score(fit)]
+            better.sort(key=judge.score)
+        else:
+            better = [f for f in (*pool, *fewer) if judge.worse(fit, f)]
+            better.sort(key=lambda f: -f.evidence)
+        if not better:
+            break
+        fit = better[0]
+    return fit
+
+
+def _determined(
+    trial: _Trial, fit: PosteriorFit
+) -> tuple[PosteriorFit, PosteriorFit, Array, frozenset[int]]:
+    """The fit without the causes that the data do not determine, as settled, the ends of its
+    intervals, and those of its causes whose size may be none, but without which the left-out runs
+    are predicted worse.
+    """
+    likelihood, judge, chosen = trial.likelihood, trial.judge, fit
+    settled, ends = trial.settled(fit)
+    open_, needed = undetermined(settled, ends), 0
+    while len(open_) > needed:
+        fewer = without(likelihood, fit, open_[needed])
+        if not trial.known and judge.worse(fewer, chosen):
+            needed += 1
+            continue
+        fit, needed = fewer, 0
+        settled, ends = trial.settled(fit)
+        open_ = undetermined(settled, ends)
+    where = places(fit.causes)
+    none = (i for i in open_ if _may_be_none(fit.causes[i], ends[where[i]]))
+    return fit, settled, ends, frozenset(none)
+
+
+def _without_all(likelihood: Likelihood, fit: PosteriorFit, gone: frozenset[int]) -> PosteriorFit:
+    """The other causes fitted again."""
+    for key in [fit.causes[i].key for i in sorted(gone)]:
+        left = [i for i, c in enumerate(fit.causes) if c.key == key]
+        fit = without(likelihood, fit, left[0]) if left else fit
+    return fit
 
 
 def _more_left(likelihood: Likelihood, fewer: PosteriorFit, fit: PosteriorFit) -> float:
@@ -247,18 +299,22 @@ def undetermined(fit: PosteriorFit, ends: Array) -> list[int]:
         cause, own = fit.causes[index], ends[where[index]]
         if not cause.names:
             continue
-        neutral = 1.0 if cause.names[0] == "factor" else 0.0
-        # of a vector: all of its components
-        size = own if cause.vector else own[:1]
-        may_be_none = bool(np.all((size[:, 0] <= neutral) & (neutral <= size[:, 1])))
-        none = not cause.effect.vanishes and may_be_none
         rows = np.column_stack([own, cause.low, cause.high])
         rows[cause.log] = np.log(rows[cause.log])
         width = rows[:, 3] - rows[:, 2]
         spans = (rows[:, 1] - rows[:, 0]) >= PRIOR_SHARE * width
-        if none or (spans.all() if cause.vector else spans.any()):
+        if _may_be_none(cause, own) or (spans.all() if cause.vector else spans.any()):
             out.append(index)
     return out
+
+
+def _may_be_none(cause: Candidate, ends: Array) -> bool:
+    """Whether the size of a cause may be none: its first number, or all of a vector."""
+    if not cause.names or cause.effect.vanishes:
+        return False
+    neutral = 1.0 if cause.names[0] == "factor" else 0.0
+    size = ends if cause.vector else ends[:1]
+    return bool(np.all((size[:, 0] <= neutral) & (neutral <= size[:, 1])))
 
 
 def _pool(found: Searched) -> list[PosteriorFit]:

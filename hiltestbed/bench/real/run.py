@@ -150,6 +150,7 @@ def measured(device: Device, data: Path) -> tuple[dict[str, Any], Figure]:
         "verdict": found.verdict,
         "causes": [c.effect for c in found.causes],
         "parameters": [c.to_json() for c in found.causes],
+        "undetermined": [c.to_json() for c in found.undetermined],
         "sentence": found.sentence(),
         "nominal_numbers": dict(device.nominal),
         "published": dict(device.published),
