@@ -381,7 +381,14 @@ def _rivals(
     with its fit; and the probability of the cause beside them. Another place of the same effect is
     one of them.
     """
-    cause, here = fit.causes[index], likelihood.again(fit)
+    cause = fit.causes[index]
+
+    def evidence(of: PosteriorFit) -> float:
+        # where a number of the fit stands at the end of its range, that of its rivals may as well
+        ended = fit.evidence == -math.inf
+        return likelihood.evidence(likelihood.cost(of.left), of.causes) if ended else of.evidence
+
+    here = evidence(likelihood.again(fit))
     others = [c for c in candidates if c.kind != cause.kind or c.place != cause.place]
     close: dict[str, tuple[float, PosteriorFit]] = {}
 
@@ -389,7 +396,7 @@ def _rivals(
         return Counter(c.kind for c in of.causes)
 
     for other in extended(likelihood, fewer, others, RIVALS):
-        gap = other.evidence - here.evidence
+        gap = evidence(other) - here
         # one of a kind that acts already is another part of it, or a second one beside it
         for kind in sorted(kinds(other) - kinds(fewer)):
             if gap > -TOLD_APART and (kind not in close or gap > close[kind][0]):
