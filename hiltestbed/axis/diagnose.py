@@ -125,7 +125,7 @@ def decide(
             "input."
         )
         return "unknown", (text,)
-    if np.all(c.fit.rms() <= CLOSE * floors):
+    if c.alone is None and np.all(c.fit.rms() <= CLOSE * floors):
         open_ = any(x.indistinguishable_from for x in causes)
         return ("ambiguous" if open_ else "named"), ()
     return "named_in_part", ()

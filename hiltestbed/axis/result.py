@@ -179,19 +179,18 @@ class AxisFinding:
         c, whole = self.conclusion, len(self.model.recorded) >= FEWEST
         if c is None:
             return ""
-        before, after = together(c.before), together(c.after)
+        before, after, unit = together(c.before), together(c.after), self.loaded.units()[1]
         said = (
             f"On {'runs' if whole else 'stretches'} that were not fitted the departure falls from "
-            f"{before:.3g} to {after:.3g} {self.loaded.units()[1]} rms, by "
-            f"{100.0 * (1.0 - after / before):.4g} %"
+            f"{before:.3g} to {after:.3g} {unit} rms, by {100.0 * (1.0 - after / before):.4g} %"
         )
-        if c.alone is None or not self.undetermined:
+        if c.alone is None:
             return f"{said}."
-        also = "; ".join(x.words() for x in self.undetermined)
+        beside = "; ".join(x.words() for x in self.undetermined)
         return (
-            f"{said}, with {also} beside it, whose size these records do not determine: it may "
-            f"stand for something else. Without it the departure falls to "
-            f"{together(c.alone):.3g} {self.loaded.units()[1]}."
+            f"{said}, with {beside} beside it. These records do not determine the size of what is "
+            f"beside it, which may stand for something else; without it the departure falls to "
+            f"{together(c.alone):.3g} {unit}."
         )
 
     def _compared(self) -> int:

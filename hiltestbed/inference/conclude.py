@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import t as student
@@ -16,7 +16,7 @@ from scipy.stats import t as student
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
-from hiltestbed.inference.model import Model, places
+from hiltestbed.inference.model import Hypothesis, Model, places
 from hiltestbed.inference.residuals import RunResiduals
 from hiltestbed.inference.search import Searched, extended, named, without
 
@@ -79,9 +79,9 @@ class SearchConclusion:
     Attributes:
         fit: the hypothesis that is offered, fitted to all runs; null: nothing departs.
         causes: of the fit, those that remove most first. before, after: (R,) rms of each run when
-            it is left out, in the unit of the record, of the null and of the fit; alone: of the
-            causes alone that are determined, None where all are. visited: what was compared by the
-            likelihood. ends: (P, 2) of the 95 % intervals of the parameters of the fit.
+            it is left out, in the unit of the record, of the null and of the fit; alone: of a fit
+            of the causes that are determined alone, None where all are. visited: what was compared
+            by the likelihood. ends: (P, 2) of the 95 % intervals of the parameters of the fit.
     """
 
     fit: PosteriorFit
@@ -170,40 +170,35 @@ def conclude(
     causes are left out, the least useful first, while these are predicted as well without them.
     """
     trial = _Trial(found, folds)
-    null, known = found.null, trial.known
+    null, judge = found.null, trial.judge
     if progress:
         progress("left-out runs: the hypotheses with the most evidence")
-    fit, settled, ends, weak = _determined(trial, _selected(trial, found, progress))
-    judge, likelihood = trial.judge, found.likelihood
-    before, after = judge.rms(null), judge.rms(fit)
-    if known:
-        worse_than_none = judge.score(fit) > judge.score(null)
-    else:
-        worse_than_none = float(np.mean(np.log(after))) > float(np.mean(np.log(before)))
-    if fit.causes and worse_than_none:
-        fit, settled, after, ends, weak = null, null, before, np.zeros((0, 2)), frozenset[int]()
-    alone = None
-    if weak:
-        alone = judge.rms(_without_all(likelihood, fit, weak))
-    fit, score = replace(fit, of=settled.of), judge.score(fit)
-    causes = []
-    for i, (cause, own) in enumerate(zip(fit.causes, places(fit.causes), strict=True)):
-        estimates = tuple(
-            Estimate(name, float(v), float(low), float(high))
-            for name, v, (low, high) in zip(cause.names, fit.of.theta[own], ends[own], strict=True)
-        )
-        if cause.sigma is not None or likelihood.model.negligible(fit.of, i):
-            continue
-        fewer = without(likelihood, fit, i)
-        worse = judge.score(fewer) - score if not known else _more_left(likelihood, fewer, fit)
-        others, probability = _rivals(likelihood, fit, i, fewer, candidates)
-        gain = 1.0 - math.exp(-worse)
-        said = cause, estimates, gain, probability
-        causes.append(Confirmed(*said, tuple(others), tuple(others.values()), i not in weak))
-    causes.sort(key=lambda c: -c.gain)
-    likelihood.forget()
-    rms = before, after, alone
-    return SearchConclusion(fit, null, tuple(causes), *rms, found.visited, ends, likelihood)
+    offered, weak, alone = _needed(trial, _selected(trial, found, progress))
+    if trial.worse_than_none(offered.fit, null):
+        offered, weak, alone = trial.settled(null), frozenset(), None
+    causes = _confirmed(trial, offered, weak, candidates)
+    trial.likelihood.forget()
+    return SearchConclusion(
+        replace(offered.fit, of=offered.of),
+        null,
+        causes,
+        judge.rms(null),
+        judge.rms(offered.fit),
+        None if alone is None else judge.rms(alone),
+        found.visited,
+        offered.ends,
+        trial.likelihood,
+    )
+
+
+class _Settled(NamedTuple):
+    """A fit of the search; of: its numbers by what the owner compares; ends: (P, 2) of their 95 %
+    intervals.
+    """
+
+    fit: PosteriorFit
+    of: Hypothesis
+    ends: Array
 
 
 class _Trial:
@@ -219,16 +214,23 @@ class _Trial:
             LeftOut(self.likelihood, folds),
         )
 
-    def settled(self, fit: PosteriorFit) -> tuple[PosteriorFit, Array]:
-        """The fit by what the owner compares, with the ends of its intervals. They hold the
-        estimate of the search as well: where the two differ, the model is wrong by that much.
+    def settled(self, fit: PosteriorFit) -> _Settled:
+        """The fit by what the owner compares. The intervals hold the estimate of the search as
+        well: where the two differ, the model is wrong by that much.
         """
         if self.owner is self.likelihood:
-            return fit, intervals(self.owner, fit, self.judge)
+            return _Settled(fit, fit.of, intervals(self.owner, fit, self.judge))
         there = self.owner.fit(fit.causes, [fit.of.theta], fit.of.nuisances)
         ends = intervals(self.owner, there, self.judge)
         low, high = np.minimum(ends[:, 0], fit.of.theta), np.maximum(ends[:, 1], fit.of.theta)
-        return there, np.column_stack([low, high])
+        return _Settled(fit, there.of, np.column_stack([low, high]))
+
+    def worse_than_none(self, fit: PosteriorFit, null: PosteriorFit) -> bool:
+        """Whether the left-out runs are predicted worse than if nothing departed."""
+        if self.known:
+            return self.judge.score(fit) > self.judge.score(null)
+        more = np.log(self.judge.rms(fit)) - np.log(self.judge.rms(null))
+        return float(np.mean(more)) > 0.0
 
 
 def _selected(trial: _Trial, found: Searched, progress: Progress | None) -> PosteriorFit:
@@ -253,27 +255,27 @@ def _selected(trial: _Trial, found: Searched, progress: Progress | None) -> Post
     return fit
 
 
-def _determined(
-    trial: _Trial, fit: PosteriorFit
-) -> tuple[PosteriorFit, PosteriorFit, Array, frozenset[int]]:
-    """The fit without the causes that the data do not determine, as settled, the ends of its
-    intervals, and those of its causes whose size may be none, but without which the left-out runs
-    are predicted worse.
+def _needed(
+    trial: _Trial, chosen: PosteriorFit
+) -> tuple[_Settled, frozenset[int], PosteriorFit | None]:
+    """What is ``chosen`` without the causes that the data do not determine. Where the noise is not
+    known, those stay without which the left-out runs are predicted worse; then also those of which
+    the size may be none, and the fit without them.
     """
-    likelihood, judge, chosen = trial.likelihood, trial.judge, fit
-    settled, ends = trial.settled(fit)
-    open_, needed = undetermined(settled, ends), 0
-    while len(open_) > needed:
-        fewer = without(likelihood, fit, open_[needed])
+    likelihood, judge = trial.likelihood, trial.judge
+    fit, needed = trial.settled(chosen), 0
+    while len(open_ := undetermined(fit)) > needed:
+        fewer = without(likelihood, fit.fit, open_[needed])
         if not trial.known and judge.worse(fewer, chosen):
             needed += 1
-            continue
-        fit, needed = fewer, 0
-        settled, ends = trial.settled(fit)
-        open_ = undetermined(settled, ends)
-    where = places(fit.causes)
-    none = (i for i in open_ if _may_be_none(fit.causes[i], ends[where[i]]))
-    return fit, settled, ends, frozenset(none)
+        else:
+            fit, needed = trial.settled(fewer), 0
+    while weak := frozenset(undetermined(fit, size_alone=True)):
+        alone = _without_all(likelihood, fit.fit, weak)
+        if judge.worse(alone, fit.fit):
+            return fit, weak, alone
+        fit = trial.settled(alone)
+    return fit, weak, None
 
 
 def _without_all(likelihood: Likelihood, fit: PosteriorFit, gone: frozenset[int]) -> PosteriorFit:
@@ -284,37 +286,60 @@ def _without_all(likelihood: Likelihood, fit: PosteriorFit, gone: frozenset[int]
     return fit
 
 
+def _confirmed(
+    trial: _Trial, settled: _Settled, weak: frozenset[int], candidates: Sequence[Candidate]
+) -> tuple[Confirmed, ...]:
+    """The causes of a fit, those that remove most first, with their rivals among candidates."""
+    likelihood, judge = trial.likelihood, trial.judge
+    fit, score = replace(settled.fit, of=settled.of), judge.score(settled.fit)
+    causes = []
+    for i, (cause, own) in enumerate(zip(fit.causes, places(fit.causes), strict=True)):
+        ends = settled.ends[own]
+        estimates = tuple(
+            Estimate(name, float(v), float(low), float(high))
+            for name, v, (low, high) in zip(cause.names, fit.of.theta[own], ends, strict=True)
+        )
+        if cause.sigma is not None or likelihood.model.negligible(fit.of, i):
+            continue
+        fewer = without(likelihood, fit, i)
+        known = trial.known
+        worse = _more_left(likelihood, fewer, fit) if known else judge.score(fewer) - score
+        others, probability = _rivals(likelihood, fit, i, fewer, candidates)
+        gain = 1.0 - math.exp(-worse)
+        said = cause, estimates, gain, probability, tuple(others), tuple(others.values())
+        causes.append(Confirmed(*said, i not in weak))
+    return tuple(sorted(causes, key=lambda c: -c.gain))
+
+
 def _more_left(likelihood: Likelihood, fewer: PosteriorFit, fit: PosteriorFit) -> float:
     """What a fit with fewer causes leaves more, as the mean logarithm of the rms."""
     costs = [likelihood.cost(f.left) for f in (fewer, fit)]
     return (costs[0] - costs[1]) / (2.0 * float(likelihood.counts.sum()))
 
 
-def undetermined(fit: PosteriorFit, ends: Array) -> list[int]:
+def undetermined(settled: _Settled, size_alone: bool = False) -> list[int]:
     """The causes of a fit, the last first, whose size may be none, or of which an interval is as
-    wide as that of a uniform prior: the data do not determine them.
+    wide as that of a uniform prior: the data do not determine them. ``size_alone``: only by the
+    first number of a cause, which is its size; of a vector by all.
     """
-    where, out = places(fit.causes), []
-    for index in reversed(range(len(fit.causes))):
-        cause, own = fit.causes[index], ends[where[index]]
+    causes, out = settled.fit.causes, []
+    where = places(causes)
+    for index in reversed(range(len(causes))):
+        cause, own = causes[index], settled.ends[where[index]]
         if not cause.names:
             continue
+        neutral = 1.0 if cause.names[0] == "factor" else 0.0
+        size = own if cause.vector else own[:1]
+        may_be_none = bool(np.all((size[:, 0] <= neutral) & (neutral <= size[:, 1])))
+        none = not cause.effect.vanishes and may_be_none
         rows = np.column_stack([own, cause.low, cause.high])
         rows[cause.log] = np.log(rows[cause.log])
         width = rows[:, 3] - rows[:, 2]
         spans = (rows[:, 1] - rows[:, 0]) >= PRIOR_SHARE * width
-        if _may_be_none(cause, own) or (spans.all() if cause.vector else spans.any()):
+        seen = spans[: len(size)] if size_alone else spans
+        if none or (seen.all() if cause.vector else seen.any()):
             out.append(index)
     return out
-
-
-def _may_be_none(cause: Candidate, ends: Array) -> bool:
-    """Whether the size of a cause may be none: its first number, or all of a vector."""
-    if not cause.names or cause.effect.vanishes:
-        return False
-    neutral = 1.0 if cause.names[0] == "factor" else 0.0
-    size = ends if cause.vector else ends[:1]
-    return bool(np.all((size[:, 0] <= neutral) & (neutral <= size[:, 1])))
 
 
 def _pool(found: Searched) -> list[PosteriorFit]:

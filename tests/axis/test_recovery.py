@@ -93,6 +93,27 @@ def test_a_servo_that_follows_and_a_damper_that_is_as_believed_depart_from_nothi
                  {"damping": 800.0})[0] == "no_discrepancy"  # fmt: skip
 
 
+def test_what_differs_between_runs_is_needed_and_its_size_is_not_determined():
+    """A spring of 20, 100 and 180 N/m: the mean of two predicts the third better than none does,
+    and three values that differ by so much do not exclude 0 (Student's t with two degrees of
+    freedom: 100 +- 4.30 * 80/sqrt(3) N/m).
+    """
+    runs = [
+        r._replace(u=r.u + k * r.y)
+        for r, k in zip(map(machines.carriage, range(3)), (20.0, 100.0, 180.0), strict=True)
+    ]
+    d = diagnosed(model_of("drive", runs, {"mass": 42.0}))
+    (force,), (spring,) = d.causes, d.undetermined
+    assert (force.effect, spring.effect) == ("dynamics.force", "dynamics.spring")
+    for name, planted in (("viscous", 130.0), ("coulomb", 18.0), ("offset", 4.0)):
+        assert force.parameters[name][0] == pytest.approx(planted, rel=0.005)
+    value, ends, _ = spring.parameters["stiffness"]
+    assert value == pytest.approx(100.0, rel=0.01)
+    assert ends is not None
+    # the jackknife of three leaves two in: each fit is the mean of two values
+    assert np.diff(ends)[0] / 2.0 == pytest.approx(4.30 * 80.0 / np.sqrt(3.0), rel=0.2)
+
+
 @pytest.mark.parametrize(
     ("seed", "verdict"),
     [(3, "inconclusive"), (19, "unknown"), (48, "unknown")],
