@@ -167,9 +167,7 @@ def test_errors_of_the_log_alone_are_no_departure(tmp_path: Path, change: Change
     ("hidden", "change"),
     [
         slow(FRICTION, lost(0.1)),
-        known_to_fail(
-            FRICTION, of_the_reading(0.01), why="a stiffness lower by 0.1 % is named as well"
-        ),
+        slow(FRICTION, of_the_reading(0.01)),
         slow(DELAY, lost(0.1)),
         slow(DELAY, lost(0.4)),
         slow(DELAY, spikes(50.0, 1e-3, FORCES)),
