@@ -9,20 +9,19 @@ of the signal flow, on arrays whose leading axis is the run in the batch.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from operator import is_
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.analysis.metrics import Tally
-from hiltestbed.analysis.outcome import Outcomes
+from hiltestbed.analysis.metrics import Tally, take_figures
+from hiltestbed.analysis.outcome import Outcomes, take_contacts
 from hiltestbed.compensation.blocks import make_drive
 from hiltestbed.compensation.input import InputDeadZone
 from hiltestbed.compensation.interfaces import Drive
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.motion import MotionCommand
-from hiltestbed.compiled.bound import GIVEN, Call, bound
+from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.phases import Phases
 from hiltestbed.frames import Array
@@ -131,9 +130,8 @@ class Loop:
         self.trouble: dict[int, tuple[int, str, str]] = {}
         self._pose_before = self.drive.pose.copy()
         self._wrench = self.plant.wrench_sub[:, -1]
-        self._lost = Call(_lost, GIVEN, POSE_LIMIT, self.alive, self.plant.diverged)
-        # the trace and the drive's arrays to which the call that writes a row is bound
-        self._row: tuple[Callable[[int], None], tuple[Any, ...]] | None = None
+        # the trace and the drive's arrays to which _keep is bound
+        self._keeping: tuple[Any, ...] = (None,) * 4
         self.plant.reset(self.drive.pose, self.drive.twist)
         self.motion.start(self.drive.twist)
         self.tally.start(self.drive.twist)
@@ -165,28 +163,42 @@ class Loop:
             self.motion.update(drive.pose, drive.twist, self.measurement)
         plant.begin(self.motion.pose, self.motion.twist, self.motion.acceleration)
         self.sensor.feel(k, self._wrench)
-        rig = (self._wrench, plant.pose_act, plant.twist_act, plant.contact)
-        self.tally.take(k, rig, self._pose_before, (drive.wrench, drive.twist))
-        model = (self._wrench, drive.pose, drive.twist)
-        self.outcomes.take(k, model, plant.contact, plant.captured, plant.phases)
-        if trace is not None:
-            self._written(trace)(k)
-        lost = self._lost.on(drive.pose)()
+        lost = self._kept(trace)(k)
         passed = self.safety.passed(plant, self._pose_before, self.tally.energy)
         if passed or lost or self.model.ended:
             self._end_runs()
         plant.finish()
         self.k = k + 1
 
-    def _written(self, trace: Trace) -> Callable[[int], None]:
-        drive = self.drive
-        arrays = (trace, drive.pose, drive.twist, drive.wrench)
-        if self._row is None or not all(map(is_, arrays, self._row[1])):
-            self._row = self.row_of(trace), arrays
-        return self._row[0]
+    def _kept(self, trace: Trace | None) -> Callable[[int], bool]:
+        """The call that updates figures, contacts and row; returns whether a run is lost."""
+        drive, (traced, pose, twist, wrench) = self.drive, self._keeping
+        if (
+            trace is not traced
+            or drive.pose is not pose
+            or drive.twist is not twist
+            or drive.wrench is not wrench
+        ):
+            row = None if trace is None else self.row_of(trace)
+            lost = drive.pose, POSE_LIMIT, self.alive, self.plant.diverged
+            self._keep = bound(_keep, ..., self.figures_of(), self.contacts_of(), row, lost)
+            self._keeping = trace, drive.pose, drive.twist, drive.wrench
+        return self._keep
 
-    def row_of(self, trace: Trace) -> Callable[[int], None]:
-        """The call that writes row k: the readings at t_k and the commands from them."""
+    def figures_of(self) -> tuple[Any, ...]:
+        """What :func:`take_figures` is given."""
+        plant, drive = self.plant, self.drive
+        rig = (self._wrench, plant.pose_act, plant.twist_act, plant.contact)
+        return (*rig, self._pose_before, drive.wrench, drive.twist, self.tally.sums)
+
+    def contacts_of(self) -> tuple[Any, ...]:
+        """What :func:`take_contacts` is given."""
+        plant, drive = self.plant, self.drive
+        state = plant.contact, plant.captured
+        return (self._wrench, drive.pose, drive.twist, *state, *self.outcomes.given(plant.phases))
+
+    def row_of(self, trace: Trace) -> tuple[Any, ...]:
+        """What :func:`write_row` is given: the readings at t_k and the commands from them."""
         drive, plant, known = self.drive, self.plant, self.measurement
         now = {
             "pose_cmd": drive.pose,
@@ -204,7 +216,7 @@ class Loop:
             "damping_est": known.damping,
         }
         rows = [trace.data[name] for name in now]
-        return bound(_write, ..., list(now.values()), rows, plant.contact, trace.contact)
+        return list(now.values()), rows, plant.contact, trace.contact
 
     @property
     def blocks(self) -> dict[str, Any]:
@@ -233,7 +245,19 @@ class Loop:
 
 
 @njit(cache=True)
-def _write(k, now, rows, contact, contacts):
+def _keep(k, figures, contacts, row, lost):
+    """Update figures and contacts with tick ``k`` and write its ``row``, None without a trace;
+    returns whether a run is lost.
+    """
+    take_figures(k, *figures)
+    take_contacts(k, *contacts)
+    if row is not None:
+        write_row(k, *row)
+    return _lost(*lost)
+
+
+@njit(cache=True)
+def write_row(k, now, rows, contact, contacts):
     """Copy each of ``now`` (n, parts) to row ``k`` of its ``rows``, modulo their number, and the
     flags ``contact`` (n,): in loops, since the general assignment of slices takes seconds to
     compile.

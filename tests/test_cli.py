@@ -78,6 +78,20 @@ def test_run_json_is_one_object_in_a_new_folder_and_nothing_else(folder: Path, c
     assert {fault["key"] for fault in told["faults"]} == {"sensor.delay", "rate"}
 
 
+def test_a_run_that_diverges_ends_with_status_3(folder: Path, call) -> None:
+    """A bumper that is too stiff for the rate (w h = 30, semi-implicit Euler needs < 2) throws the
+    model out of the numbers.
+    """
+    faster = ("--set", "mechanism.contact.stiffness=3.6e11", "--set", "approach.velocity.2=0.2")
+    for limit in ("stroke", "speed", "limb_angle_deg", "force", "torque"):
+        faster += ("--set", f"safety.{limit}=null")
+    status, out, err = call("run", "s.yaml", "--no-rerun", "--json", "--out", "r", *faster)
+    summary = json.loads(out)
+    assert (status, summary["status"]) == (3, "diverged")
+    assert summary["stop_reason"] in err
+    assert "r" in err
+
+
 def test_bad_input_ends_with_status_2_file_line_and_what_is_allowed(folder: Path, call) -> None:
     words = "did you mean 'velocity'"
     Path("bad.yaml").write_text(TEXT.replace("velocity", "velocty"))
@@ -233,6 +247,18 @@ def test_help_imports_nothing_heavy_and_version_is_told() -> None:
     assert done.stderr.strip() == "[]"
     out, _ = command("--version").communicate()
     assert out.startswith(b"hiltestbed ")
+
+
+def test_a_reader_that_hangs_up_gets_no_traceback(folder: Path) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "hiltestbed.cli", "schema"], stdout=write, stderr=subprocess.PIPE
+    )
+    os.close(write)
+    _, err = process.communicate()
+    assert b"Traceback" not in err
+    assert process.returncode == 1
 
 
 def test_ended_early_leaves_no_folder_and_no_traceback(folder: Path, call) -> None:

@@ -188,6 +188,12 @@ def test_geoms_that_do_not_touch_and_names_are_said(call, tmp_path: Path) -> Non
     assert np.isfinite(pair_in_mjcf(file, ("ball", "floor"), (1.0, math.inf), SPEED)[0].cor)
 
 
+@pytest.mark.parametrize("zeta", [0.05, 0.1, 0.2, 0.4])
+def test_without_delay_a_stepped_bounce_is_the_closed_form(zeta: float) -> None:
+    contact = SpringDamper(1.0, 2 * zeta, 1.0)
+    assert contact.late_cor(0.0) == pytest.approx(contact.cor, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("w_tau", "e"), [(0.063, 1.104), (0.126, 1.217), (0.251, 1.474), (0.503, 2.102), (1.005, 3.743)]
 )

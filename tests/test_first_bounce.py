@@ -121,6 +121,14 @@ def test_a_bounce_in_a_cone_is_foretold(k, c, damped, stable) -> None:
     assert done.summary["stability"]["stable"] is stable
 
 
+def test_the_delay_that_a_bounce_bears() -> None:
+    """At the largest delay a bounce ends as fast as it began, or its damping is used up."""
+    said = judged(light_tip(1.0e5, 6000.0))
+    for factor, stable in ((0.98, True), (1.02, False)):
+        again = judged(light_tip(1.0e5, 6000.0, **{"sensor.delay": factor * said["largest_delay"]}))
+        assert again["stable"] is stable, factor
+
+
 @SLOW
 def test_a_prediction_makes_up_for_the_platform_where_it_knows_the_line() -> None:
     """On the first touch the rig makes nothing; on the wall across it does, less than without
@@ -236,6 +244,8 @@ def test_a_bounce_that_is_not_the_first_contacts_says_to_which_side_it_is() -> N
     later = judged(shipped("09-docking", {"compensation": {"force": {"kind": "resynchronised"}}}))
     caveats = {d["direction"]: d["caveat"] for d in later["directions"]}
     assert caveats["along the normal of a later touch"].startswith("an upper bound")
+    moving = judged(shipped("16-probe-drogue"))
+    assert "to either side" in moving["directions"][0]["caveat"]
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -62,12 +63,16 @@ def at_load(tree: ast.Module) -> Iterator[ast.Import | ast.ImportFrom]:
     yield from (node for node in tree.body if isinstance(node, (ast.Import, ast.ImportFrom)))
 
 
+@cache
+def trees() -> dict[str, ast.Module]:
+    return {n: ast.parse(path.read_text(encoding="utf-8")) for n, path in modules().items()}
+
+
 def graph(imports, steps) -> dict[str, set[str]]:
     """Each module to the ``steps`` to what its ``imports`` name."""
-    known = modules()
-    out = {}
-    for name, path in known.items():
-        nodes = imports(ast.parse(path.read_text(encoding="utf-8")))
+    known, out = modules(), {}
+    for name, tree in trees().items():
+        nodes = imports(tree)
         found = {
             step for node in nodes for t in targets(node, known, name) for step in steps(name, t)
         }

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
+import numpy as np
 import pytest
 from numba.core.event import unregister
 
 from hiltestbed.bench.contacts import BenchContact, bounce, effort
 from hiltestbed.compiled import warm as kernels
 from hiltestbed.process.progress import UnitTime
-from hiltestbed.report.table import print_comparison
+from hiltestbed.report.table import print_comparison, print_run
 
 from .slow import SLOW
 
@@ -41,6 +43,42 @@ def test_one_slow_part_does_not_set_the_pace() -> None:
 def test_parts_of_unequal_work_count_by_their_work() -> None:
     """10 units a second throughout, in parts of 1, 10, 40 and 9."""
     assert pace_of([0.0, 0.1, 1.1, 5.1, 6.0], [0, 1, 11, 51, 60]).left(30) == pytest.approx(3.0)
+
+
+def test_a_time_is_not_told_while_parts_differ_too_much() -> None:
+    """After parts of 1 and 9 s for the same work three do not tell the mean; after many it is told,
+    slow ones counted.
+    """
+    times = [0.0]
+    for i in range(24):
+        times.append(times[-1] + (9.0 if i % 2 else 1.0))
+    assert pace_of(times[:5], [0, 1, 2, 3, 4]).left(10) is None
+    assert pace_of(times, list(range(25))).left(10) == pytest.approx(50.0)
+
+
+@pytest.mark.parametrize("spread", [0.3, 0.7])
+def test_the_first_time_that_is_told_is_right_by_a_factor_of_two(spread) -> None:
+    """Sets that two processes work on, of lengths that differ by a factor of exp(spread), after
+    half a minute of compiling in each.
+    """
+    right = 0
+    for seed in range(200):
+        lengths = 8.0 * np.exp(spread * np.random.default_rng(seed).standard_normal(60))
+        free, ends = [30.0, 30.0], []
+        for seconds in lengths:
+            worker = free.index(min(free))
+            free[worker] += seconds
+            ends.append(free[worker])
+        ends.sort()
+        clock = iter(ends)
+        pace = UnitTime(lambda clock=clock: next(clock))
+        for i, now in enumerate(ends[:-8], 1):
+            pace.update(i)
+            told = pace.left(len(ends) - i)
+            if told is not None:
+                right += 0.5 < told / (ends[-1] - now) < 2.0
+                break
+    assert right >= 0.93 * 200
 
 
 @SLOW
@@ -100,3 +138,27 @@ def test_a_comparison_breaks_no_word(
     words = printed.split()
     for cell in (*NAMES, *(cell for row in ROWS for cell in row)):
         assert all(word in words or f"{word}:" in words for word in cell.split())
+
+
+@pytest.mark.parametrize(
+    ("ratio", "shown"), [(-1e-6, "+0.0 %"), (0.0, "+0.0 %"), (1e-6, "+0.0 %"), (-0.02, "-2.0 %")]
+)
+def test_nought_has_no_minus(ratio: float, shown: str, capsys: pytest.CaptureFixture[str]) -> None:
+    summary = {
+        "name": "run",
+        "status": "completed",
+        "outcome": "rebound",
+        "contacts": 1,
+        "captured_at": None,
+        "cor": 0.9,
+        "cor_reference": 0.9,
+        "cor_log_error": ratio,
+        "energy_generated": 0.0,
+        "peak_force": 1.0,
+        "contact_duration": 0.1,
+        "delay_ledger": [],
+        "identification": {},
+        "timing": {"real_time_factor": None, "wall": 1.0, "ticks": 10},
+    }
+    print_run(summary, Path("runs/run"))
+    assert shown in capsys.readouterr().out

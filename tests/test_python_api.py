@@ -130,6 +130,13 @@ def test_the_verdict_on_energy_follows_the_number(
     assert not any("active" in text for text in lost.warnings)
 
 
+def test_every_verdict_has_advice(late: hiltestbed.Run) -> None:
+    assert any("sensor.delay" in text for text in late.assessment.advice)
+    stopped = assess(late.summary | {"status": "stopped", "stop_reason": "tick 3: force"})
+    assert "stopped" in stopped.headline
+    assert stopped.advice
+
+
 def test_compare_says_which_keys_differ_and_what_they_did(
     late: hiltestbed.Run, right: hiltestbed.Run, tmp_path: Path
 ) -> None:

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from hiltestbed import read_run, replay_failure, run, write_run
-from hiltestbed.errors import HiltestbedError
+from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.run_folder import store as recording_module
 from hiltestbed.signals import GROUPS
 from hiltestbed.simulation import run_batch
@@ -39,6 +39,12 @@ def test_a_run_is_read_back_as_it_was(short_run, tmp_path: Path) -> None:
             assert metadata[b"frame"]
 
 
+def test_the_same_seed_gives_the_same_file(short_run, tmp_path: Path) -> None:
+    first = write_run(short_run, tmp_path / "first", rerun=False)
+    second = write_run(run(short_run.scenario), tmp_path / "second", rerun=False)
+    assert (first / "trace.parquet").read_bytes() == (second / "trace.parquet").read_bytes()
+
+
 def test_what_fails_half_way_leaves_what_was_there(
     short_run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -54,6 +60,13 @@ def test_what_fails_half_way_leaves_what_was_there(
             write_run(short_run, place, rerun=False)
     assert list(tmp_path.iterdir()) == [folder]
     assert (folder / "trace.parquet").read_bytes() == before
+
+
+def test_a_folder_with_other_things_in_it_is_refused_untouched(short_run, tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="other things"):
+        write_run(short_run, tmp_path, rerun=False)
+    assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 
 
 # a spring of 1e12 N/m that is late throws the bodies apart at some 1e6 m/s: the model leaves the

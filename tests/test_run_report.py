@@ -104,6 +104,19 @@ def test_restitution_along_the_impulse_is_that_of_the_energy(glancing: hiltestbe
     )
 
 
+def test_the_page_of_a_cone_says_what_was_identified_along_the_normal(
+    glancing: hiltestbed.Run,
+) -> None:
+    page = run_report(glancing).html()
+    normal = glancing.summary["identification_normal"]
+    assert normal["stiffness"] == pytest.approx(5.0e4, rel=0.01)
+    assert f"<td>normal</td><td>{normal['stiffness']:.6g} ± " in page
+    assert "Neither stiffness nor damping was identified" not in page
+    assert "along the impulse" in page
+    assert "ended at" in assess(glancing.summary).headline
+    assert any("along its impulse" in warning for warning in assess(glancing.summary).warnings)
+
+
 def _made(share: float, **figures: object) -> dict:
     """Of a run in which the rig made that share of the energy, with no other warning."""
     run = {
@@ -175,6 +188,18 @@ def test_what_is_advised_takes_out_the_largest_delay_that_no_compensation_takes_
     (first, *_) = assess(_made(0.2, delay_ledger=[*entries, total])).advice
     assert advised in first
     assert f"the largest is {largest}" in first
+
+
+@pytest.mark.parametrize(("made", "advised"), [(0.2, True), (0.001, False)])
+def test_a_lag_that_counts_on_later_touches_is_advised_on(made, advised) -> None:
+    ways = [{"direction": "along the normal of a later touch", "rig_energy": made}]
+    total = {"source": "total", "delay": 0.0, "equivalent_damping": 0.0}
+    run = _made(
+        0.1,
+        stability={"stable": True, "verdict": "stable", "directions": ways},
+        delay_ledger=[total],
+    )
+    assert any("feedforward" in advice for advice in assess(run).advice) is advised
 
 
 def test_what_holds_from_the_start_is_measured_by_what_its_spring_stores() -> None:

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.numerical_model.bodies import approach_state
@@ -68,7 +67,7 @@ class ContactFigures:
 
 
 class Sums(NamedTuple):
-    """Running sums of ``n`` runs, which :func:`_update` adds to; a tick is -1 before one."""
+    """Running sums of ``n`` runs, which :func:`take_figures` adds to; a tick is -1 before one."""
 
     tick: float  # [s]
     settle: NDArray[np.int64]  # (n,) see :func:`settle_ticks`
@@ -103,6 +102,7 @@ class Tally:
         peak_force: ``(n,)`` [N] largest physical contact force so far.
         impulse: ``(n,)`` [N s] of the physical contact force along z so far.
         contacts, first_tick: ``(n,)`` contacts so far, and tick of the first; -1: none.
+        sums: for :func:`take_figures`.
     """
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
@@ -131,31 +131,13 @@ class Tally:
             twist_before=np.zeros((n, 6)),
             tracking=np.zeros((n, 5)),
         )
-        self._sums = sums
+        self.sums = sums
         self.energy, self.peak_force, self.impulse = sums.energy, sums.peak_force, sums.impulse
         self.contacts, self.first_tick = sums.contacts, sums.first_tick
-        self._update = Call(_update, ..., *(GIVEN,) * 7, sums)
 
     def start(self, twist: Array) -> None:
         """The numerical model's twist ``(n, 6)`` before the first tick."""
-        self._sums.twist_before[:] = twist
-
-    def take(
-        self,
-        k: int,
-        rig: tuple[Array, Array, Array, NDArray[np.bool_]],
-        pose_before: Array,
-        drive: tuple[Array, Array],
-    ) -> None:
-        """Update with tick ``k``; the arrays are the same at every tick.
-
-        Args:
-            rig: physical wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)`` and contact ``(n,)``
-                at t_k.
-            pose_before: ``(n, 7)`` pose that had been commanded for t_k.
-            drive: used wrench and new twist of the numerical model, ``(n, 6)`` each.
-        """
-        self._update.on(*rig, pose_before, *drive)(k)
+        self.sums.twist_before[:] = twist
 
     def parted(self, alive: NDArray[np.bool_]) -> bool:
         """Whether the rebound speed of every run in ``alive`` ``(n,)`` is known."""
@@ -164,15 +146,15 @@ class Tally:
     @property
     def rebounded(self) -> NDArray[np.bool_]:
         """``(n,)`` runs whose rebound speed is known, and changes no more."""
-        return self._sums.settled
+        return self.sums.settled
 
     def first_contact(self, i: int) -> tuple[Array, Array, Array]:
         """Of run ``i``: impulse (6,) about A of the first contact; twists before, after; or NaN."""
-        return self._sums.first_impulse[i], *self._sums.speeds[i]
+        return self.sums.first_impulse[i], *self.sums.speeds[i]
 
     def figures(self, i: int) -> ContactFigures:
         """The figures of run ``i``."""
-        sums = self._sums
+        sums = self.sums
         tick, first, peak = sums.tick, int(sums.first_tick[i]), float(sums.peak_force[i])
         approach, rebound = (None if math.isnan(v) else float(v) for v in sums.speeds[i, :, 2])
         delay, compliance = tracking_fit(sums.tracking[i])
@@ -311,7 +293,7 @@ def about_A(wrench, pose, out):
 
 
 @njit(cache=True)
-def _update(k, wrench, pose, twist, contact, pose_before, used, twist_cmd, sums):
+def take_figures(k, wrench, pose, twist, contact, pose_before, used, twist_cmd, sums):
     h = sums.tick
     slope, felt, paid = np.zeros(6), np.empty(6), np.empty(6)
     for i in range(wrench.shape[0]):

@@ -11,10 +11,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from hiltestbed.analysis.limits import LOADS, conditions
-from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import ACTIVE, PASSIVE
 from hiltestbed.contact.phases import Phases
@@ -53,32 +51,13 @@ class Outcomes:
         self.first = np.full((n, 13), np.nan)
         self.loads, self.begun = np.zeros((n, 2, len(LOADS))), np.zeros(n, dtype=np.int64)
         self._hard = np.array([hard_from(s.mechanism) for s in scenarios], dtype=np.int64)
-        self._update = Call(
-            _update,
-            ...,
-            *(GIVEN,) * 6,
-            (self.tick, self.events, self.count, self.captured_tick, self.touching),
-            (self.first, self._hard, self.loads),
-        )
 
-    def take(
-        self,
-        k: int,
-        known: tuple[Array, Array, Array],
-        contact: NDArray[np.bool_],
-        captured: NDArray[np.bool_],
-        phases: Phases | None,
-    ) -> None:
-        """Update with tick ``k``; the arrays are the same at every tick.
-
-        Args:
-            known: physical wrench ``(n, 6)`` at t_k, pose ``(n, 7)`` and twist ``(n, 6)`` of the
-                numerical model for the next tick. contact, captured: ``(n,)`` whether the
-                mechanisms touch and are latched. phases: of their capture, if they have any.
-        """
+    def given(self, phases: Phases | None) -> tuple[Any, ...]:
+        """The last arguments of :func:`take_contacts`; ``phases`` of capture, if there are any."""
         if phases is not None:
             self.begun = phases.begun
-        self._update.on(*known, contact, captured, self.begun)(k)
+        contacts = self.tick, self.events, self.count, self.captured_tick, self.touching
+        return self.begun, contacts, (self.first, self._hard, self.loads)
 
     def summary(self, i: int) -> dict[str, Any]:
         """Outcome of run ``i``, with the time of capture [s], how it touched first, the largest
@@ -125,7 +104,7 @@ def hard_from(mechanism: Mechanism) -> int:
 
 
 @njit(cache=True)
-def _update(k, wrench, pose, twist, contact, captured, begun, contacts, interface):
+def take_contacts(k, wrench, pose, twist, contact, captured, begun, contacts, interface):
     h, events, count, captured_tick, touching = contacts
     first, hard, loads = interface
     for i in range(wrench.shape[0]):

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from hiltestbed.bench.contenders import RANKED_TOO, Briefing, contenders
+from hiltestbed.bench.contenders import Briefing, contenders
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.compensation.settings import MOTION_METHODS
 from hiltestbed.contact.directions import acting_along_z
@@ -84,8 +84,7 @@ def rank(scenario: Scenario, progress: Progress | None = None) -> BenchResult:
             f"rank: nothing touches in {scenario.name}; lengthen duration, or aim the approach"
         )
     known, own = _briefing(scenario), resolved(scenario)["compensation"]
-    every = (*contenders(), *RANKED_TOO)
-    methods = [m for m in every if not m.name.endswith("_off")]
+    methods = [m for m in contenders() if not m.name.endswith("_off")]
     servo = not scenario.rig.platform.prescribed
     motions = [kind for kind in MOTION_METHODS if kind != own["motion"]["kind"]] if servo else []
     whole = float(len(methods) + len(motions))

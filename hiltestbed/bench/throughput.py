@@ -20,14 +20,16 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from hiltestbed.analysis.metrics import take_figures
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.campaign.cases import run_chunk
 from hiltestbed.campaign.schema import load_campaign
+from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.state import arrays_of
 from hiltestbed.config.gallery import shipped
 from hiltestbed.contact.surfaces.turned import obj_text, polyline, turn
 from hiltestbed.errors import HiltestbedError
-from hiltestbed.loop import Loop
+from hiltestbed.loop import Loop, write_row
 from hiltestbed.platform.plant import Plant
 from hiltestbed.report.page import Report, new_figure
 from hiltestbed.scenario import Scenario, load_scenario
@@ -180,14 +182,14 @@ def per_block(scenario: Scenario, n: int) -> dict[str, float]:
     trace = Trace(scenario.ticks, n, scenario.rate, loop.plant.units)
     for _ in range(int(0.4 * scenario.rate)):
         loop.step(trace)
-    plant, drive, repeats, row = loop.plant, loop.drive, 200, loop.row_of(trace)
+    plant, drive, repeats = loop.plant, loop.drive, 200
     assert isinstance(plant, Plant)  # the simulated side
-    wrench = plant.wrench_sub[:, -1]
-    rig = (wrench, plant.pose_act, plant.twist_act, plant.contact)
+    figures = bound(take_figures, ..., *loop.figures_of())
+    row = bound(write_row, ..., *loop.row_of(trace))
     calls: dict[str, Callable[[], Any]] = {
         "sensor": lambda: loop.sensor.read(loop.k, plant.wrench_sub),
         "compensation and numerical model": lambda: drive.advance(loop.measurement),
-        "figures": lambda: loop.tally.take(loop.k, rig, drive.pose, (drive.wrench, drive.twist)),
+        "figures": lambda: figures(loop.k),
         "trace": lambda: row(loop.k),
         "platform, mechanisms, contact": lambda: plant.advance(
             drive.pose, loop.motion.twist, loop.motion.acceleration

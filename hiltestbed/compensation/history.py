@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 
 
@@ -31,9 +32,16 @@ class History:
 
     def before(self, ticks: Array, out: Array) -> Array:
         """``out`` (n, m): the value ``ticks`` (n,) before the last stored one."""
-        whole = np.floor(ticks)
-        part, slot = (ticks - whole)[:, None], int(self.clock[0]) - 1 - whole.astype(np.int64)
-        runs, length = np.arange(len(out)), self.values.shape[1]
-        late, early = self.values[runs, slot % length], self.values[runs, (slot - 1) % length]
-        np.add((1.0 - part) * late, part * early, out=out)
+        _before(int(self.clock[0]) - 1, self.values, ticks, out)
         return out
+
+
+@njit(cache=True)
+def _before(k, values, ticks, out):
+    length = values.shape[1]
+    for i in range(out.shape[0]):
+        whole = int(math.floor(ticks[i]))
+        part = ticks[i] - whole
+        late, early = (k - whole) % length, (k - whole - 1) % length
+        for j in range(out.shape[1]):
+            out[i, j] = (1.0 - part) * values[i, late, j] + part * values[i, early, j]

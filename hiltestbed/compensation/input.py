@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
@@ -65,23 +65,28 @@ class InputDeadZone:
         """Apply the dead zone to a reading ``(n, 6)``: a force below the width is zero; torques
         pass, except with "magnitude".
         """
-        square = reading[:, 0] ** 2 + reading[:, 1] ** 2 + reading[:, 2] ** 2
-        whole, width = self._where == MAGNITUDE, np.where(self._where == AFTER, 0.0, self._width)
-        cut = np.where(whole[:, None], (square < width**2)[:, None], self._small(reading, width))
-        self.wrench[:] = np.where(cut, 0.0, reading)
+        _dead(reading, self._width, self._where, False, self.wrench)
         return self.wrench
-
-    @staticmethod
-    def _small(wrench: Array, width: Array) -> NDArray[np.bool_]:
-        """``(n, 6)`` forces below the ``width`` (n,), no torques."""
-        return (np.abs(wrench) < width[:, None]) & (np.arange(6) < 3)
 
     def after(self, wrench: Array) -> None:
         """Zero small forces of the compensated ``wrench`` (n, 6), in place, for runs whose dead
         zone lies after the compensation.
         """
-        width = np.where(self._where == AFTER, self._width, 0.0)
-        wrench[self._small(wrench, width)] = 0.0
+        _dead(wrench, self._width, self._where, True, wrench)
+
+
+@njit(cache=True)
+def _dead(reading, width, where, behind, out):
+    for i in range(reading.shape[0]):
+        w = width[i] if (where[i] == AFTER) == behind else 0.0
+        small = False
+        if where[i] == MAGNITUDE and not behind:
+            small = reading[i, 0] ** 2 + reading[i, 1] ** 2 + reading[i, 2] ** 2 < w * w
+        for j in range(6):
+            cut = (
+                small if where[i] == MAGNITUDE and not behind else j < 3 and abs(reading[i, j]) < w
+            )
+            out[i, j] = 0.0 if cut else reading[i, j]
 
 
 @register

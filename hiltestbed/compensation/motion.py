@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiltestbed.compensation.interfaces import Derivatives
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import MOTION_METHODS
 from hiltestbed.compiled.bound import GIVEN, Call
@@ -41,7 +40,10 @@ class MotionCommand:
         self.acceleration = np.zeros((n, 6))
         self._previous = np.zeros((n, 6))
         self._rate_before, self._still = np.zeros((n, 6)), np.zeros((n, 6))
+        self._velocity = np.zeros((n, 6))
         self._accel = np.zeros((n, 6))
+        self._jerk = np.zeros((n, 6))
+
         self._pass_pose = Call(
             _pass_pose,
             GIVEN,
@@ -65,7 +67,8 @@ class MotionCommand:
         if self._method is None:
             self._pass_pose.on(pose, twist)()
             return
-        derivatives = self._differentiated(twist)
+        derivatives = (self._velocity, self._accel, self._jerk)
+        _differentiate(twist, self._previous, self._rate, *derivatives)
         self._method.command(pose, derivatives, measurement, self.pose)
         yielding = self._still if self._method.rate is None else self._method.rate
         _refer(
@@ -78,14 +81,6 @@ class MotionCommand:
             self.twist,
             self.acceleration,
         )
-
-    def _differentiated(self, twist: Array) -> Derivatives:
-        """The semi-implicit velocity is that at the middle of its tick: half a tick of acceleration
-        extrapolates it to the end.
-        """
-        change = self._rate * (twist - self._previous)
-        jerk, self._accel[:] = self._rate * (change - self._accel), change
-        return twist + 0.5 / self._rate * change, self._accel, jerk
 
 
 @njit(cache=True)
@@ -106,3 +101,16 @@ def _refer(twist, yielding, rate, feed, previous, rate_before, velocity, acceler
             acceleration[i, j] = change * rate * feed[i]
             velocity[i, j] = twist[i, j] * feed[i] + yielding[i, j]
             previous[i, j], rate_before[i, j] = twist[i, j], yielding[i, j]
+
+
+@njit(cache=True)
+def _differentiate(twist, previous, rate, velocity, acceleration, jerk):
+    """The semi-implicit velocity is that at the middle of its tick: half a tick of acceleration
+    extrapolates it to the end.
+    """
+    for i in range(twist.shape[0]):
+        for j in range(6):
+            change = rate * (twist[i, j] - previous[i, j])
+            jerk[i, j] = rate * (change - acceleration[i, j])
+            acceleration[i, j] = change
+            velocity[i, j] = twist[i, j] + 0.5 / rate * change

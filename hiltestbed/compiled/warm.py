@@ -29,14 +29,14 @@ def threads() -> int:
 
 def cache_folder() -> Path:
     """Folder in which Numba caches the kernel of the figures, which every run needs."""
-    from hiltestbed.analysis.metrics import _update
+    from hiltestbed.analysis.metrics import take_figures
 
-    return Path(_update.stats.cache_path or "")
+    return Path(take_figures.stats.cache_path or "")
 
 
 def compiled() -> bool:
     """Whether this installation has made a run before, so that its kernels are on disk."""
-    return any(cache_folder().glob("metrics._update-*.nbc"))
+    return any(cache_folder().glob("metrics.take_figures-*.nbc"))
 
 
 @functools.cache

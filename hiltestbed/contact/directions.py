@@ -152,8 +152,16 @@ def time_of_touch(scenario: Scenario) -> float | None:
     if ahead > 0.0:  # beyond BEYOND after the nominal touch no first touch is possible
         end = (scenario.approach.gap + BEYOND) / ahead
     times = np.linspace(0.0, end, STOPS)
+    # where depths are distances, nothing touches before they are covered
+    speed = float(np.linalg.norm(start[7:10]))
+    straight, free = sides.exact and speed > 0.0 and not start[10:].any(), 0.0
     for k, t in enumerate(times):
+        if t < free:
+            continue
         interpreted(pose_step)(start[:7], start[7:], float(t), pose)
-        if meeting.deepest(pose) > 0.0:
+        depth = meeting.deepest(pose)
+        if depth > 0.0:
             return float(times[k - 1]) if k else 0.0
+        if straight:
+            free = t - depth / speed
     return None

@@ -18,15 +18,15 @@ the force is :attr:`pull`, to be applied as an external wrench.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import bound
+from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import (
     ACTIVE,
@@ -50,7 +50,7 @@ from hiltestbed.contact.facets import (
 from hiltestbed.contact.geometry import ACTIVE as A
 from hiltestbed.contact.geometry import FRAMES
 from hiltestbed.contact.geometry import PASSIVE as S
-from hiltestbed.contact.latches import Latches
+from hiltestbed.contact.latches import Latches, hold
 from hiltestbed.contact.law import STATES, acting_contacts
 from hiltestbed.contact.parameters import (
     ADHESION,
@@ -121,7 +121,7 @@ class Engagement:
         self.latches = Latches(batch, structure, self.parameters[:, -1])
         self._captured = scenarios[0].mechanism.captured
         self.latched = np.zeros(n, dtype=bool)
-        self._touching = self._touches(dt, least_creep)
+        self._updated = Call(_update, (GIVEN,) * 4, *self._parts(dt, least_creep))
         k = self.latches.number(LATCH) if structure.latched else None
         self._relative = None if k is None else (self.latches.pose[:, k], self.latches.twist[:, k])
         moves = bool(sides.native or sides.frames)
@@ -135,19 +135,22 @@ class Engagement:
         self._live[:] = True
         self.latches.open(captured=self._captured)
 
-    def _touches(self, dt: float, least_creep: float) -> list[Callable[[], None]]:
-        """The calls that compute the contacts from the poses of the bodies."""
+    def _parts(self, dt: float, least_creep: float) -> tuple[Any, ...]:
+        """What :func:`_update` is given after the poses; None for what the sides have not."""
         b, p = self._bodies, self._pairs
-        found: list[Callable[[], None]] = []
         laws = Laws(dt, least_creep, self.parameters, self.linear, self._live, p.gain)
         felt = FacetState(self.state, self.met, self.wrench, self.pull, self.touching)
-        if self._facets:
-            found.append(bound(touch_facets, self._geometry, laws, b.bodies, p.inputs, felt))
-        if p.reading.shape[1]:
-            found.append(bound(touch_natively, self._facets, p.reading, laws, p.inputs, felt))
-        if self.latches.closures:
-            found.append(self.latches.holding(dt, b.bodies))
-        return found
+        facets = (self._geometry, laws, b.bodies, p.inputs, felt) if self._facets else None
+        native = p.reading.shape[1] > 0
+        return (
+            b.bodies,
+            b.parts,
+            felt,
+            facets,
+            (self._facets, p.reading, laws, p.inputs, felt) if native else None,
+            self.latches.holding(dt, b.bodies),
+            self.latched,
+        )
 
     @property
     def frames(self) -> Array:
@@ -161,13 +164,7 @@ class Engagement:
 
     def update(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
         """Update MuJoCo's contacts, once per instant, for poses and twists in W of A and of S."""
-        self._bodies.stand(pose, twist, place, motion)
-        if not self._facets:
-            self.wrench[:], self.pull[:], self.touching[:] = 0.0, 0.0, False
-        for touch in self._touching:
-            touch()
-        if self.latches.closures:
-            np.logical_or(self.touching, self.latched, out=self.touching)
+        self._updated.on(pose, twist, place, motion)()
 
     def capture(self, which: NDArray[np.bool_]) -> None:
         """Latch the runs ``which`` (n,) as they are, from the next instant on, without contacts."""
@@ -213,7 +210,7 @@ class _Bodies:
     """The frames to which geoms and sites are fixed.
 
     Attributes:
-        bodies: their poses and twists.
+        bodies: their poses and twists. parts: MuJoCo's indices and arrays of moving parts, if any.
     """
 
     def __init__(self, batch: Batch, structure: Structure, tilt: Array) -> None:
@@ -230,20 +227,12 @@ class _Bodies:
             carry[i, S, 3:7] = q
         self.bodies = CarriedFrames(np.zeros((n, count, 7)), np.zeros((n, count, 6)), carry)
         ids = np.array([m.body(PREFIXES[side] + body).id for side, body in names], dtype=np.int64)
-        self._parts: Callable[[], None] | None = None
+        self.parts: tuple[Any, ...] | None = None
         if names:
             roots = m.body_rootid[ids].astype(np.int64)
             columns = {"xpos": 3, "xquat": 4, "cvel": 6, "subtree_com": 3}
             read = [batch.bind(name).reshape(n, -1, size) for name, size in columns.items()]
-            self._parts = bound(_parts, ids, roots, *read, self.bodies.frames, self.bodies.motions)
-
-    def stand(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
-        """Update the frames: A and S from these, those of moving parts from MuJoCo."""
-        frames, motions = self.bodies.frames, self.bodies.motions
-        frames[:, A], frames[:, S] = pose, place
-        motions[:, A], motions[:, S] = twist, motion
-        if self._parts is not None:
-            self._parts()
+            self.parts = (ids, roots, *read)
 
 
 class _Pairs:
@@ -285,7 +274,33 @@ class _Pairs:
 
 
 @njit(cache=True)
-def _parts(ids, roots, xpos, xquat, cvel, com, frames, motions):
+def _update(sides, bodies, parts, felt, facets, native, closures, latched):
+    """The frames: A and S from ``sides``, those of moving parts from MuJoCo; and what touches."""
+    pose, twist, place, motion = sides
+    frames, motions = bodies.frames, bodies.motions
+    for i in range(pose.shape[0]):
+        for j in range(7):
+            frames[i, A, j], frames[i, S, j] = pose[i, j], place[i, j]
+        for j in range(6):
+            motions[i, A, j], motions[i, S, j] = twist[i, j], motion[i, j]
+    if parts is not None:
+        _move_parts(*parts, frames, motions)
+    if facets is not None:
+        touch_facets(*facets)
+    else:
+        felt.wrench[:] = 0.0
+        felt.pull[:] = 0.0
+        felt.touching[:] = False
+    if native is not None:
+        touch_natively(*native)
+    if closures is not None:
+        hold(*closures)
+        for i in range(latched.shape[0]):
+            felt.touching[i] |= latched[i]
+
+
+@njit(cache=True)
+def _move_parts(ids, roots, xpos, xquat, cvel, com, frames, motions):
     """Poses and twists of bodies; ``cvel`` is at the centre of mass of its tree, angular first."""
     for i in range(frames.shape[0]):
         for k in range(ids.shape[0]):

@@ -11,14 +11,12 @@ and any force law can be exerted.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import (
     NO_DAMPING,
@@ -134,15 +132,13 @@ class Latches:
             self.hold[which, k, :3] -= force[which] / self.springs[which, k, :1]
         self.closed[which, k] = self._closing[which, k] = True
 
-    def holding(self, dt: float, bodies: CarriedFrames) -> Callable[[], None]:
-        """A call, once per instant, that updates the sites' relative poses and the anchors of
-        closed closures; its arrays are reused.
-        """
-        return bound(_hold, dt, self._fixed, self._now, bodies)
+    def holding(self, dt: float, bodies: CarriedFrames) -> tuple[Any, ...] | None:
+        """The arguments of :func:`hold`; None without closures."""
+        return (dt, self._fixed, self._now, bodies) if self.closures else None
 
 
 @njit(cache=True)
-def _hold(dt, fixed, now, bodies):
+def hold(dt, fixed, now, bodies):
     """Relative pose and twist of the sites of each closure, and the anchors of closed closures."""
     rows, spring, law, turns, pairs, places, ids = fixed
     closed, closing, hold, state, pose, twist, active, data = now

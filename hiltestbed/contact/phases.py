@@ -195,12 +195,13 @@ class LatchCondition:
     """The closing conditions of `n` runs: depth, alignment and speed, all at once."""
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        self._limits = latch_limits(scenarios)
+        self._closing = np.zeros(len(scenarios), dtype=bool)
+        self._due = Call(_due, GIVEN, GIVEN, latch_limits(scenarios), GIVEN, self._closing)
 
     def close(self, engagement: Engagement) -> None:
         """Latch the runs whose condition holds at the state of the last update."""
-        at = zip(*engagement.relative(), self._limits, strict=True)
-        engagement.capture(np.array([closes(*one) for one in at]))
+        if self._due.on(*engagement.relative(), engagement.latched)():
+            engagement.capture(self._closing)
 
 
 @njit(cache=True)
@@ -209,3 +210,13 @@ def closes(pose, twist, limits):
     aligned = 1.0 - 2.0 * (pose[3] ** 2 + pose[4] ** 2)  # cosine between the axes
     speed2 = twist[0] ** 2 + twist[1] ** 2 + twist[2] ** 2
     return pose[2] >= -limits[0] and aligned >= limits[1] and speed2 <= limits[2] ** 2
+
+
+@njit(cache=True)
+def _due(pose, twist, limits, latched, due):
+    """Mark in ``due`` (n,) the runs that are to latch now; returns whether there is any."""
+    some = False
+    for i in range(pose.shape[0]):
+        due[i] = not latched[i] and closes(pose[i], twist[i], limits[i])
+        some |= due[i]
+    return some

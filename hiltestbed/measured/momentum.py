@@ -11,7 +11,8 @@ compensation do. A force in pounds makes it 4.448, a reversed sign -1, and excha
 motion that no s explains.
 
 The bodies move by the compensated force, and the sensor's record is late against it. Delay, filters
-and leads keep the impulse: where s explains the motion, it is off by a few percent by them.
+and leads keep the impulse, but the double integral D of the record is another: D(t - T) + b L W to
+second order, with a shift T and a spread b. s is fitted together with both.
 
 This checks unit, sign and axes of force and pose.
 """
@@ -43,6 +44,13 @@ FORCES = ("fx", "fy", "fz")
 GAP_LIMIT = 0.02
 BETTER = 0.02  # part of the motion that another order or other signs must explain in addition
 CLEAR = 50.0  # least motion that the force causes, in units of the pose's noise
+# [s] largest shift between force and motion that is searched: beyond the delays of such loops
+LATEST = 0.05
+ROUNDS = 20  # of the search for the shift, which takes less than ten to settle within SETTLED
+SETTLED = 1e-3  # of a tick
+# least part of L W that differs from the motion and its rate; of an oscillation L W is proportional
+# to D, and b stays 0
+APART = 0.1
 # factor from 1 that no effect causes: the largest over the independent rig's effects is 1.25
 SCALE = 2.2
 # part of the motion that a force with its axes as given must explain; otherwise other orders of
@@ -61,6 +69,7 @@ class Momentum:
     Attributes:
         force, pose: the groups. scale: s above, of all axes together; axes: axis to its own s, for
             axes that the force clearly moves.
+        late: [s] by which the force is later in the record than the motion that it causes.
         explained: part of the motion's sum of squares that s explains. order, signs: of the force's
             axes that explain it best.
         explained_in_order: the same part with the axes in that order and with these signs, for the
@@ -71,6 +80,7 @@ class Momentum:
     pose: str
     scale: float
     axes: Mapping[str, float]
+    late: float
     explained: float
     order: tuple[str, ...]
     signs: tuple[int, ...]
@@ -104,20 +114,23 @@ def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momen
         return None
     given = _columns(record, wrench)[:, rows]
     parts = _Parts.of(t, mobility(scenario), given, motion, scenario.tick)
-    if not parts.seen.any():
+    if not parts.driven.any():
         return None
-    scale, explained = parts.fit(FORCES, (1, 1, 1))
+    explained = parts.fit(FORCES, (1, 1, 1)).explained
     order, signs, best = parts.best(explained)
+    late, parts = parts.aligned(scenario.tick)
     large = moved & (np.sum(motion**2, axis=1) > 0.05 * np.sum(motion**2))
     axes = {a: s for j, a in enumerate("xyz") if large[j] and (s := parts.axis(j))}
-    return Momentum(force, pose, scale, axes, explained, order, signs, best)
+    scale = parts.fit(FORCES, (1, 1, 1)).scale
+    return Momentum(force, pose, scale, axes, late, explained, order, signs, best)
 
 
 class _Fit(NamedTuple):
-    """s, and the part of the motion's square that it explains."""
+    """s, the part of the motion's square that it explains, the weight (10,) of each motion."""
 
     scale: float
     explained: float
+    weights: Array
 
 
 @dataclass(frozen=True)
@@ -126,12 +139,15 @@ class _Parts:
     sign of the axes.
 
     Attributes:
-        motion: (3, rows) that was logged, without its linear trend. seen: (10, 3, rows) motion by
-            column j acting along axis i, at 3 i + j, by the torques last, each without its own.
+        t: (rows,) [s]. driven: (10, 3, rows) motion by column j acting along axis i, at 3 i + j; by
+            the torques last.
+        motion: (3, rows) that was logged, without its linear trend. seen: driven without its own.
         gram: (10, 10) inner products of seen with each other; shown: (10,) with the motion.
         square: inner product of the motion with itself.
     """
 
+    t: Array
+    driven: Array
     motion: Array
     seen: Array
 
@@ -139,8 +155,8 @@ class _Parts:
     def of(cls, t: Array, response: Array, wrench: Array, motion: Array, tick: float) -> _Parts:
         doubled = _twice(t, wrench, tick)
         along = [response[:, i, None] * doubled[j] for i in range(3) for j in range(3)]
-        driven = (*along, response[:, 3:] @ doubled[3:])
-        return cls(motion, np.stack([_without_line(t, part) for part in driven]))
+        driven = np.stack([*along, response[:, 3:] @ doubled[3:]])
+        return cls(t, driven, motion, _without_lines(t, driven))
 
     @cached_property
     def gram(self) -> Array:
@@ -154,6 +170,35 @@ class _Parts:
     @cached_property
     def square(self) -> float:
         return float(np.sum(self.motion**2))
+
+    def aligned(self, tick: float) -> tuple[float, _Parts]:
+        """T [s], and the parts without shift and spread; unchanged if no T up to LATEST is found
+        (Gauss-Newton from 0).
+        """
+        late, parts = 0.0, self
+        for _ in range(ROUNDS):
+            moved, spread = parts._apart(self.motion)
+            if not abs(late + moved) < LATEST:
+                break
+            late += moved
+            shifted = _shifted(self.t, self.driven, late)
+            seen = _without_lines(self.t, shifted)
+            parts = _Parts(self.t, self.driven, self.motion - spread, seen)
+            if abs(moved) < SETTLED * tick:
+                return late, parts
+        return 0.0, self
+
+    def _apart(self, motion: Array) -> tuple[float, Array]:
+        """What is left of T [s], to first order; the part of ``motion`` (3, rows) by the spread."""
+        made = np.tensordot(self.fit(FORCES, (1, 1, 1)).weights, self.seen, 1)
+        rate = np.gradient(made, self.t, axis=1)
+        parts = made, rate, np.gradient(rate, self.t, axis=1)
+        basis = np.stack([_without_line(self.t, part).reshape(-1) for part in parts], axis=1)
+        own = basis[:, 2] - basis[:, :2] @ np.linalg.lstsq(basis[:, :2], basis[:, 2], rcond=None)[0]
+        terms = 3 if own @ own > APART * (basis[:, 2] @ basis[:, 2]) else 2
+        found = np.linalg.lstsq(basis[:, :terms], motion.reshape(-1), rcond=None)[0]
+        spread = found[2] * basis[:, 2].reshape(made.shape) if terms == 3 else np.zeros_like(made)
+        return float(found[1] / found[0]) if found[0] else 0.0, spread
 
     def fit(self, order: tuple[str, ...], signs: tuple[int, ...]) -> _Fit:
         """The fit for one order and signs; torques scale with the force or not, as fits better."""
@@ -170,7 +215,7 @@ class _Parts:
         s = left / square if square > 0 else 0.0
         weights = s * scaled + fixed
         rest = self.square - 2 * weights @ self.shown + weights @ self.gram @ weights
-        return _Fit(s, 1.0 - float(rest) / self.square)
+        return _Fit(s, 1.0 - float(rest) / self.square, weights)
 
     def best(self, explained: float) -> tuple[tuple[str, ...], tuple[int, ...], float]:
         """The order and signs that explain the motion best (the given ones, which have
@@ -178,7 +223,7 @@ class _Parts:
         """
         found: tuple[tuple[str, ...], tuple[int, ...], float] = (FORCES, (1, 1, 1), explained)
         for order, signs in product(permutations(FORCES), product((1, -1), repeat=3)):
-            s, part = self.fit(order, signs)
+            s, part, _ = self.fit(order, signs)
             if s > 0 and part > found[2] + BETTER:
                 found = order, signs, part
         return found
@@ -242,6 +287,18 @@ def _without_line(t: Array, values: Array) -> Array:
     basis = np.stack([np.ones_like(t), t - t.mean()])
     basis /= np.linalg.norm(basis, axis=1, keepdims=True)
     return values - (values @ basis.T) @ basis
+
+
+def _without_lines(t: Array, driven: Array) -> Array:
+    return np.stack([_without_line(t, part) for part in driven])
+
+
+def _shifted(t: Array, driven: Array, late: float) -> Array:
+    """``driven`` ``(10, 3, rows)`` as much earlier; without force before and after the rows."""
+    at = t + late
+    rows = np.clip(np.searchsorted(t, at) - 1, 0, len(t) - 2)
+    part = (at - t[rows]) / (t[rows + 1] - t[rows])
+    return driven[..., rows] * (1.0 - part) + driven[..., rows + 1] * part
 
 
 def balances(record: Record, scenario: Scenario) -> dict[str, Momentum]:

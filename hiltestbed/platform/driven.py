@@ -13,7 +13,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import bound
+from hiltestbed.compiled.bound import GIVEN, Call, bound
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
@@ -99,6 +99,8 @@ class ServoTracking:
         self._late = np.zeros(n, dtype=bool) if late is None else late
         self._going: NDArray[np.intp] | None = None  # the runs that are stepped; None: all
         self._lost = False  # whether a run has just diverged
+        self._seen = mover.observing(self._qpos, self._qvel, SPEED_LIMIT, self.diverged)
+        self._read_now = Call(_read_now, self._reading, self._tare, GIVEN, self.wrench_sub, ...)
         self._read_history = bound(_read_history, self._history, self._tare, self.wrench_sub)
         # pose and twist of A in W, and those of P if it moves
         self._sides = (self.pose_act, self.twist_act)
@@ -126,7 +128,7 @@ class ServoTracking:
         self.mover.settle(pose, twist, self._qpos, self._qvel)
         self._ticks[0] = 0
         self.contacts.reset()
-        self._see()
+        self._seen()
         if self.contacts.written:
             if self.contacts.stage != NONE:
                 self.batch.forward(self._going, stage=self.contacts.stage)
@@ -198,23 +200,17 @@ class ServoTracking:
         if self.load is not None:
             self.load.read(self._sensordata, self.mover.place_P, runs, self.wrench_sub, sub)
         else:
-            # MuJoCo's sensors give the wrench that the parent exerts on the child
-            # (tests/sensor/test_force_sensor.py hangs a known weight on one)
-            self.wrench_sub[runs, sub] = self._tare[runs] - self._reading[runs]
-
-    def _see(self) -> bool:
-        """Read the state; returns whether a run has just diverged."""
-        return self.mover.observe(self._qpos, self._qvel, SPEED_LIMIT, self.diverged)
+            self._read_now.on(runs)(sub)
 
     def _meet(self) -> bool:
-        """The same, and evaluate the contact."""
-        lost = self._see()
+        """Read the state and evaluate the contact; returns whether a run has just diverged."""
+        lost = self._seen()
         if self.contacts.written:
             self.contacts.meet(*self._sides)
         return lost
 
     def _observe(self) -> None:
-        lost = self._lost if self._stepwise else self._see()
+        lost = self._lost if self._stepwise else self._seen()
         self.contacts.look()
         if lost:
             self._lost = False
@@ -233,8 +229,10 @@ class ServoTracking:
     def _group(self) -> None:
         """Divide the runs into those whose force is needed at once and late ones, with stages."""
         going = ~self.diverged
-        self._prompt = np.flatnonzero(going & ~self._late)
-        self._latecomers = np.flatnonzero(going & self._late)
+        self._prompt, self._latecomers = (
+            self._all if which.all() else np.flatnonzero(which)
+            for which in (going & ~self._late, going & self._late)
+        )
         self._groups: list[tuple[NDArray[np.intp] | None, int]] = [
             (None if len(ids) == len(going) else ids, stage)
             for ids, stage in ((self._prompt, ACC), (self._latecomers, VEL))
@@ -279,6 +277,17 @@ def _cause(m: mujoco.MjModel, qpos: Array, qvel: Array) -> str:
     )
     unit = "rad/s" if turns else "m/s"
     return f"{joint.name} moves at {qvel[dof]:.3g} {unit} (limit {SPEED_LIMIT:g})"
+
+
+@njit(cache=True)
+def _read_now(reading, tare, runs, wrench_sub, sub):
+    """``wrench_sub[runs, sub] = tare - reading``, both (n, 6): MuJoCo's sensors give the wrench
+    that the parent exerts on the child (tests/sensor/test_force_sensor.py hangs a known weight on
+    one).
+    """
+    for i in runs:
+        for j in range(6):
+            wrench_sub[i, sub, j] = tare[i, j] - reading[i, j]
 
 
 @njit(cache=True)

@@ -8,6 +8,8 @@ compiled at the first touch) does not affect the pace.
 
 from __future__ import annotations
 
+import math
+import statistics
 import sys
 import time
 from collections import deque
@@ -22,6 +24,7 @@ QUIET = 1.0  # [s] a shorter run shows nothing
 LOG_INTERVAL = 10.0  # [s]
 REMEMBERED = 32  # updates that determine the pace
 FEWEST_INTERVALS = 3  # intervals, at least, for an estimate
+LARGEST_SPREAD = 0.5  # largest 95 % interval of the pace, relative to it, for an estimate
 
 
 class UnitTime:
@@ -41,14 +44,30 @@ class UnitTime:
             self._before = (now, done)
 
     def left(self, work: float) -> float | None:
-        """Seconds that ``work`` more units take at the mean pace of the latest intervals but the
-        slowest; None while there are too few.
+        """Seconds that ``work`` more units take; None while there are too few data.
+
+        Uses the mean of the latest intervals. A single interval longer than five times the median
+        for its work is left out; several of them count. If the intervals vary much, more are
+        awaited until the 95 % interval of the mean is within :data:`LARGEST_SPREAD` of it.
         """
         if len(self._paces) < FEWEST_INTERVALS:
             return None
-        slowest = max(self._paces, key=lambda part: part[0] / part[1])
-        seconds, units = (sum(column) for column in zip(*self._paces, strict=True))
-        return work * (seconds - slowest[0]) / (units - slowest[1])
+        middle = statistics.median(seconds / units for seconds, units in self._paces)
+        slow = [part for part in self._paces if part[0] > 5.0 * middle * part[1]]
+        usual = [part for part in self._paces if len(slow) != 1 or part is not slow[0]]
+        pace = sum(seconds for seconds, _ in usual) / sum(units for _, units in usual)
+        free = len(usual) - 1
+        if free < 1:
+            return None
+        spread = math.sqrt(
+            sum((seconds - pace * units) ** 2 for seconds, units in usual) * len(usual) / free
+        )
+        student = 2.0 + 9.0 / free**2  # Student's t for 95 %, accurate to 0.2
+        return (
+            work * pace
+            if student * spread <= LARGEST_SPREAD * sum(seconds for seconds, _ in usual)
+            else None
+        )
 
 
 def labelled(progress: Callable[[str], None] | None, label: str) -> Callable[[str], None] | None:

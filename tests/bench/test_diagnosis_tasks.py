@@ -203,3 +203,24 @@ def test_a_benchmark_that_was_stopped_goes_on_where_it_was(
     counts = {len(result.records), result.summary["planned"], result.summary["done"]}
     assert counts == {len(set(before) | set(after))}
     assert not keep.exists()
+
+
+def test_records_of_another_program_are_not_taken_over(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    keep = tmp_path / "bench.sets.jsonl"
+    played(monkeypatch, last=5)
+    with pytest.raises(KeyboardInterrupt):
+        diagnosis(quick=True, keep=keep, workers=1)
+    monkeypatch.setattr("tests.equipment.kept.made_by", lambda: "another")
+    after = played(monkeypatch, last=0)
+    assert len(diagnosis(quick=True, keep=keep, workers=1).records) == len(after)
+
+
+def test_when_the_time_is_up_what_is_done_is_told(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    played(monkeypatch, last=0)
+    result = diagnosis(quick=True, minutes=1e-6, keep=tmp_path / "bench.sets.jsonl", workers=1)
+    assert (result.summary["done"], result.records, result.summary["named_rate"]) == (0, [], None)
+    assert (tmp_path / "bench.sets.jsonl").exists()

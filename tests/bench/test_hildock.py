@@ -24,12 +24,17 @@ from hiltestbed.bench.hildock.methods import (
     shipped,
 )
 from hiltestbed.bench.hildock.problem import (
+    DISCARDED,
+    MODULUS,
+    MULTIPLIER,
+    SEED,
     TICK,
     Case,
     cases,
     causal_bound,
     draws,
     indices,
+    percentile_95,
     play,
     rebound,
     reference,
@@ -56,9 +61,14 @@ def test_the_reference_rebounds_with_the_closed_form(frequency: float, zeta: flo
     assert abs(math.log(e / truth)) < 2.0 * zeta * wh
 
 
-def test_random_numbers_of_a_tick_are_nearly_normal() -> None:
-    """Twelve uniform numbers of a tick have unit variance."""
+def test_random_numbers_are_those_of_park_and_miller() -> None:
+    """From state 1 the 10,000th state is 1043618065 (their paper's check), and the twelve uniform
+    numbers of a tick have unit variance.
+    """
+    assert pow(MULTIPLIER, 10_000, MODULUS) == 1043618065
     random = draws(0)
+    first = SEED * pow(MULTIPLIER, DISCARDED + 1, MODULUS) % MODULUS
+    assert next(random) == first / MODULUS
     sums = np.array([sum(next(random) for _ in range(12)) - 6.0 for _ in range(4000)])
     assert abs(sums.mean()) < 4.0 / math.sqrt(4000)
     assert abs(sums.std() - 1.0) < 4.0 / math.sqrt(2 * 4000)
@@ -125,6 +135,10 @@ def test_the_least_peak_force_is_that_of_free_flight_over_the_delay() -> None:
     found = play(case, ResynchronisedEntrant())
     assert max(found.force) / max(ideal.force) - 1.0 >= bound - 1e-9
     assert bound > 0.1
+
+
+def test_the_percentile_is_the_nearest_rank() -> None:
+    assert percentile_95([float(i) for i in range(48, 0, -1)]) == 46.0  # ceil(45.6)
 
 
 @NEEDS_CC

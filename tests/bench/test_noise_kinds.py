@@ -66,6 +66,13 @@ def test_coloured_noise_is_first_order() -> None:
     assert np.std(first_rows) == pytest.approx(SIGMA[2], rel=0.2)  # as if it had run for ever
 
 
+def test_white_noise_is_white_and_normal() -> None:
+    noise = _noise("white", 2.0)
+    np.testing.assert_allclose(np.std(noise, axis=0), 2.0 * SIGMA, rtol=0.05)
+    assert np.abs(_neighbours(noise)).max() < 4.0 / np.sqrt(ROWS)
+    assert abs(stats.kurtosis(noise[:, 2])) < 0.2
+
+
 def test_pink_noise_falls_as_one_over_the_frequency() -> None:
     noise = _noise("pink", 3.0)
     f, power = signal.welch(noise[:, 2], RATE, nperseg=4096)

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.campaign.columns import choices_of, results
-from hiltestbed.campaign.figures import _cells, _edges, heat_maps
+from hiltestbed.campaign.columns import choices_of, in_words, results
+from hiltestbed.campaign.figures import _cells, _edges, heat_maps, with_unit
 from hiltestbed.campaign.schema import LoadedCampaign, Variation, load_campaign
 from hiltestbed.campaign.sweep import Sweep, sweep
 from hiltestbed.config.gallery import shipped
@@ -112,6 +112,15 @@ def test_choices_that_do_not_complete_come_last() -> None:
         ("b", 2, 1, True),
         ("a", 1, 0, False),
     ]
+
+
+def test_words_and_units(campaign: LoadedCampaign) -> None:
+    assert in_words('{"kind": "phase_lead", "lag": 0.001}') == "phase_lead (lag 0.001)"
+    assert in_words("servo") == "servo"
+    assert in_words("[1, 2]") == "[1, 2]"
+    assert with_unit("mechanism.contact.stiffness", campaign) == "mechanism.contact.stiffness [N/m]"
+    assert with_unit("peak_force") == "peak_force [N]"
+    assert with_unit("cor") == "cor"
 
 
 def test_the_criterion_is_the_users(campaign: LoadedCampaign, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,7 @@ from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.run_folder.versions import provenance
 from hiltestbed.scenario import scenario_sha256
 from tests.campaign.conftest import written
-from tests.slow import SLOW
+from tests.slow import SLOW, slow
 
 DEADLINE = 120.0  # [s] for what takes a few: a busy machine compiles slowly
 
@@ -118,12 +119,21 @@ def interrupted(file: Path) -> None:
     wait_for(lambda: is_gone(process.pid), "the workers to end")
 
 
-def test_interrupted_it_goes_on_to_the_same_bytes(
-    file: Path, tmp_path: Path, expected: bytes
+def killed_alone(file: Path) -> None:
+    """`kill -9` of the command; its workers end by themselves."""
+    process = begun(file, "--workers", "2", "--chunk", "2")
+    process.kill()
+    process.wait()
+    wait_for(lambda: is_gone(process.pid), "the workers to end")
+
+
+@pytest.mark.parametrize("way", [interrupted, slow(killed_alone)], ids=lambda way: way.__name__)
+def test_ended_in_every_way_it_goes_on_to_the_same_bytes(
+    way: Callable[[Path], None], file: Path, tmp_path: Path, expected: bytes
 ) -> None:
     """In other chunks, and in this process."""
     out = tmp_path / "out"
-    interrupted(file)
+    way(file)
     assert not (out / "cases.parquet").exists()
     assert 2 <= int(store.Store(out, load_campaign(file)).done().sum()) < 96
     sweep(file, out, chunk=7)
@@ -251,6 +261,11 @@ def test_a_folder_whose_first_write_met_a_full_disk_goes_on(
     assert sweep(small, tmp_path / "out").about["status"] == "complete"
     assert not list((tmp_path / "out").rglob("*.partial"))
     assert (tmp_path / "out" / store.SCENARIO).is_file()
+
+
+def test_a_folder_with_a_name_that_is_no_utf8(small: LoadedCampaign, tmp_path: Path) -> None:
+    done = sweep(small, tmp_path / os.fsdecode(b"\xff"))
+    assert done.cases().num_rows == small.spec.cases
 
 
 def test_a_worker_with_other_code_under_the_same_version_is_refused(small: LoadedCampaign) -> None:

@@ -182,11 +182,17 @@ def test_what_keeps_a_client_from_opening_is_said() -> None:
         _client(port).open()
 
 
+ODD = {
+    '<Rob><AIPos A1="0"/><IPOC>4</IPOC></Rob>': "without RIst (they hold AIPos, IPOC); add the tag",
+    '<Rob><RIst X="1" Y="2" Z="3" A="0" B="0"/><IPOC>4</IPOC></Rob>': "RIst has no six plausible",
+    '<Rob><RIst X="1" Y="2" Z="1e9" A="0" B="0" C="0"/><IPOC>4</IPOC></Rob>': "RIst has no six",
+    '<Rob><RIst X="1" Y="2" Z="3" A="0" B="0" C="0"/></Rob>': "IPOC is no whole number",
+    '<Robot><RIst X="1" Y="2" Z="3" A="0" B="0" C="0"/><IPOC>4</IPOC></Robot>': "root is <Robot>",
+}
+
+
 def test_telegrams_that_are_not_understood_are_described() -> None:
-    for telegram, said in (
-        ('<Rob><AIPos A1="0"/><IPOC>4</IPOC></Rob>', "without RIst (they hold AIPos, IPOC)"),
-        ('<Rob><RIst X="1" Y="2" Z="1e9"/><IPOC>4</IPOC></Rob>', "RIst has no six plausible"),
-    ):
+    for telegram, said in ODD.items():
         with pytest.raises(Odd, match=re.escape(said)):
             read_telegram(telegram.encode(), "Rob", "RIst")
     (port,) = free_ports(1)

@@ -4,6 +4,7 @@ timing of the facility.
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace as Fake
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 from hiltestbed import load_scenario
 from hiltestbed.diagnosis import rebound
 from hiltestbed.diagnosis.rebound import Rebound
+from hiltestbed.diagnosis.timing import ClockOffset
 
 
 @pytest.mark.parametrize(
@@ -69,3 +71,11 @@ def test_an_explanation_that_leaves_the_rebound_where_it_was_is_not_one(
     e: Any = result.explanations["wrench"]
     assert (e.conclusion.fit.name if e.adequate else "none") == expected
     assert len(result.weighed) == (expected != "chosen")
+
+
+def test_a_clock_that_is_off_has_a_price() -> None:
+    """Half a millisecond in a contact of w = 16 rad/s is (pi/2) w tau = 1.2 % of the rebound."""
+    price = 0.5 * math.pi * 15.8 * 5e-4
+    offset = ClockOffset("pose_act", "pose_cmd", 0.5, 5e-4, None, price)
+    assert "0.5 rows (0.0005 s) late relative to pose_cmd" in offset.sentence()
+    assert "changes the coefficient of restitution by +1.2 %" in offset.sentence()

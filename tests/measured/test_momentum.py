@@ -49,19 +49,43 @@ def _late(delay: float, time_constant: float = 0.0) -> np.ndarray:
 def test_a_late_record_has_the_impulse_of_the_force(
     tmp_path: Path, factor: float, delay: float, time_constant: float
 ) -> None:
-    """Mass times change of velocity is 1/factor times the impulse, but for what the delay moves of
-    it: the part of the run that it takes.
+    """Mass times change of velocity is 1/factor times the impulse. The fit is exact for a delay; a
+    lag leaves the third order of w T.
     """
     table = bounce.columns()
     table["wrench_meas.fz"] = factor * _late(delay, time_constant)
     pair = _balance(tmp_path, table)
-    tolerance = BY_NOISE + 2.5 * (delay + time_constant) / bounce.DURATION
+    tolerance = BY_NOISE + (bounce.OMEGA * time_constant) ** 3
     assert pair.scale * factor == pytest.approx(1.0, abs=tolerance)
     assert pair.axes["z"] == pytest.approx(pair.scale)
+    assert pair.late == pytest.approx(delay + time_constant, abs=0.2e-3)
+
+
+@pytest.mark.parametrize("factor", [1.0, -1.0])
+def test_an_oscillation_without_free_flight_shows_its_delay_too(
+    tmp_path: Path, factor: float
+) -> None:
+    """On a sinusoid the force is proportional to the motion, so that delay and scale follow from
+    phase and amplitude alone.
+    """
+    table = bounce.columns()
+    amplitude, delay = 2e-3, 0.008
+    for group, at in (("pose_cmd", table["t"] + 1 / bounce.RATE), ("pose_act", table["t"])):
+        table[f"{group}.pz"] = amplitude * np.sin(bounce.OMEGA * at)
+    force = bounce.STIFFNESS * amplitude * np.sin(bounce.OMEGA * (table["t"] - delay))
+    force[table["t"] < delay] = 0.0
+    table["wrench_meas.fz"] = factor * (
+        force + NOISE * np.random.default_rng(3).standard_normal(len(force))
+    )
+    pair = _balance(tmp_path, table)
+    # the impulse between -delay and 0 is not in the record: k A w delay^2/2 of a velocity
+    # amplitude's k A/w
+    assert pair.scale * factor == pytest.approx(1.0, abs=BY_NOISE + (bounce.OMEGA * delay) ** 2 / 2)
+    assert pair.late == pytest.approx(delay, abs=0.2e-3)
 
 
 def test_pounds_are_recognised_behind_a_delay(tmp_path: Path) -> None:
-    """The hint is the exact factor of the unit."""
+    """The hint is the exact factor of the unit, and the ratio beside it the true one."""
     table = bounce.columns()
     for group in ("wrench_meas", "wrench_comp"):
         table[f"{group}.fz"] = table[f"{group}.fz"] / POUND_FORCE
@@ -72,6 +96,6 @@ def test_pounds_are_recognised_behind_a_delay(tmp_path: Path) -> None:
         if r.channel == "wrench_meas.fz" and r.check == "unit"
     ]
     ratio = float(errors[0].text.partition(" is ")[2].partition(" times")[0])
-    assert ratio == pytest.approx(POUND_FORCE, rel=0.1)
+    assert ratio == pytest.approx(POUND_FORCE, rel=BY_NOISE)
     assert "lbf" in errors[0].text
     assert f"{POUND_FORCE:.8g}" in errors[0].fix

@@ -5,7 +5,6 @@ refused.
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any
 
 import mujoco
@@ -47,8 +46,7 @@ class Hall:
         self.qpos, self.qvel, self.applied = bind("qpos"), bind("qvel"), bind("qfrc_applied")
         self.pushed = bind("xfrc_applied").reshape(1, -1, 6)
         self.centres = bind("xipos").reshape(1, -1, 3)
-        seen = self.qpos, self.qvel, 1e3, np.zeros(1, dtype=bool)
-        self.observe = partial(self.bodies.observe, *seen)
+        self.observe = self.bodies.observing(self.qpos, self.qvel, 1e3, np.zeros(1, dtype=bool))
 
     def start(self, pose: Array, twist: Array) -> None:
         self.batch.reset(stage=0)

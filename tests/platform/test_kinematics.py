@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hiltestbed.config.models import load
+from hiltestbed.config.models import load, models_folder
 from hiltestbed.errors import InputError
 from hiltestbed.platform.facilities.facility import MOUNT, MOUNT_HOME, compiled
 from hiltestbed.platform.facilities.kinematics import Kinematics
@@ -89,3 +89,9 @@ def test_a_start_that_the_sliders_do_not_reach_is_refused(
     start[0, 0] = 2.0 if "workspace" in settings else 0.0
     with pytest.raises(InputError, match=words):
         plant.reset(start, np.zeros((1, 6)))
+
+
+@pytest.mark.parametrize("mechanism", ["pss33", "frame", "bumper"])
+def test_every_mechanism_states_its_dimensions(mechanism: str) -> None:
+    text = (models_folder() / mechanism / "README.md").read_text()
+    assert "reason" in text.lower()

@@ -138,6 +138,11 @@ def test_joints_by_number_are_named_so_and_the_check_lists_those_of_the_model() 
     assert "its joints of one axis are shoulder, elbow" in look_at("two.yaml").faults[0].message
 
 
+def test_one_joint_is_a_single_axis() -> None:
+    found = write_from_log("one", log(t=SERVO.t, q1=ANGLES["elbow"], tau1=ANGLES["elbow"]))
+    assert found.kind == "axis: drive"
+
+
 def test_position_and_force_along_two_axes_are_no_joints() -> None:
     q = ANGLES["elbow"]
     found = write_from_log("bench", log(t=SERVO.t, pos_x=q, pos_y=q, force_x=q, force_y=q))
@@ -182,6 +187,12 @@ def test_what_a_log_without_names_does_not_tell_is_open_whatever_it_is_said_to_b
     np.testing.assert_allclose(load_axis("c.yaml").records[0].u, DRIVE.u)
     rig = write_from_log("rig", [Path("log.csv")], "dataset")
     assert rig.open == ("pose_cmd.pz", "pose_act.pz", "wrench_meas.fz", "wrench_comp.fz")
+
+
+def test_text_among_the_columns_is_left_out() -> None:
+    write_from_log("arm", log(t=SERVO.t, cmd=SERVO.u, position=SERVO.y, mode="auto"))
+    assert "constant, empty or no numbers: mode" in Path("arm.yaml").read_text()
+    assert not look_at("arm.yaml").faults
 
 
 def test_a_rig_is_read_as_it_was_written_with_a_scenario_beside_it() -> None:
@@ -271,6 +282,13 @@ def test_what_is_no_record_of_a_motion_is_refused(text: bytes, said: str) -> Non
     with pytest.raises(InputError, match=said):
         write_from_log("arm", [Path("log.csv")])
     assert not Path("arm.yaml").exists()
+
+
+def test_nothing_is_overwritten() -> None:
+    Path("arm.yaml").write_text("mine")
+    with pytest.raises(InputError, match="exists already"):
+        write_from_log("arm", log(t=SERVO.t, cmd=SERVO.u, position=SERVO.y))
+    assert Path("arm.yaml").read_text() == "mine"
 
 
 def test_the_command_says_what_it_wrote(tmp_path: Path) -> None:

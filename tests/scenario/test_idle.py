@@ -56,7 +56,7 @@ def changed(value: Any) -> Any:
 
 @pytest.mark.parametrize(
     ("kind", "tracking"),
-    [("pss33", "servo"), ("pss33", "response"), slow("serial_arm", "response")],
+    [("pss33", "servo"), ("pss33", "response"), ("pss33", "ideal"), slow("serial_arm", "response")],
 )
 def test_keys_that_are_said_to_have_no_effect_have_none(kind, tracking) -> None:
     """All of them changed at once, the same trace to the last bit."""

@@ -87,14 +87,22 @@ def keys(schema: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
             yield f"{name}.{key}", value
 
 
-def test_every_key_and_object_is_described(
+def test_every_key_and_object_is_described_in_words_that_need_no_others(
     schema: dict[str, Any], subtests: pytest.Subtests
 ) -> None:
+    """A text begins with what it describes: no bare unit, no fragment, no word that points at
+    another text.
+    """
+    elsewhere = re.compile(
+        r"\bthe same\b(?! (seed|trace|tick|time))|\blikewise\b|\bditto\b|\bas above\b|\bidem\b",
+        re.IGNORECASE,
+    )
     for key, about in (*keys(schema), ("Scenario", schema), *schema["$defs"].items()):
         with subtests.test(key):
             said = about.get("description", "")
             assert len(said.split()) >= 2, said
             assert re.match(r"[A-Z]", said), said
+            assert not elsewhere.search(said), said
 
 
 def test_numbers_of_a_unit_say_so(schema: dict[str, Any]) -> None:

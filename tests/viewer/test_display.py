@@ -34,6 +34,17 @@ def test_without_a_display_it_says_what_to_do(
     assert error.value.exit_status == 1
 
 
+def test_a_viewer_that_fails_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "recording.rrd").touch()
+    viewer = tmp_path / "viewer"
+    viewer.write_text("#!/bin/sh\nexit 3\n")
+    viewer.chmod(0o755)
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(display, "viewer_binary", lambda: viewer)
+    with pytest.raises(HiltestbedError, match="status 3"):
+        display.view(tmp_path)
+
+
 def test_the_viewer_comes_with_rerun() -> None:
     assert display.viewer_binary().is_file()
 

@@ -41,7 +41,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from hiltestbed.compensation.interfaces import ForceBlock, KernelBlock
@@ -49,7 +48,6 @@ from hiltestbed.compensation.settings import ForceMethod, Input, force_of
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.contact.directions import acting_along_z
-from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.plugins import register
 
@@ -88,20 +86,18 @@ class VirtualContact(ForceMethod):
         return {self.kind: self.damping / acting_along_z(scenario)[0]}
 
 
-def add_virtual(
-    wrench: Array, pose: Array, twist: Array, stiffness: Array, damping: Array, out: Array
-) -> None:
+@njit(cache=True)
+def add_virtual(wrench, pose, twist, stiffness, damping, out):
     """``out``: wrench plus a spring and damper (n,) at A along z, in P at P's, beyond touch."""
-    out[:] = wrench
-    on = pose[:, 2] > 0.0
-    _push(pose[on], stiffness[on] * pose[on, 2] + damping[on] * twist[on, 2], out, on)
-
-
-def _push(pose: Array, force: Array, out: Array, on: NDArray[np.bool_]) -> None:
-    """Add a ``force`` at A along z to the rows ``on`` of wrenches in P at P's origin."""
-    out[on, 2] += force
-    out[on, 3] += pose[:, 1] * force
-    out[on, 4] -= pose[:, 0] * force
+    for i in range(wrench.shape[0]):
+        for j in range(6):
+            out[i, j] = wrench[i, j]
+        x = pose[i, 2]
+        if x > 0.0:
+            force = stiffness[i] * x + damping[i] * twist[i, 2]
+            out[i, 2] += force
+            out[i, 3] += pose[i, 1] * force
+            out[i, 4] -= pose[i, 0] * force
 
 
 @register
@@ -206,39 +202,41 @@ class NormalisedPassivity(ForceMethod):
     @classmethod
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
         h, own = model.tick, force_of(scenarios, cls)
-        gain = [f.gain for f in own]
-        smooth = [1.0 - math.exp(-h / f.smoothing) for f in own]
+        gain = np.array([f.gain for f in own])
+        smooth = np.array([1.0 - math.exp(-h / f.smoothing) for f in own])
         ticks = np.array([s.sensor.delay for s in scenarios]) / h
         # last force, its smoothed derivative times the delay, smoothed power, smoothed |F v|
-        gains = np.column_stack([gain, smooth, ticks])
-        given = (model.twist, gains, np.zeros((len(scenarios), 4)))
+        given = (model.twist, gain, smooth, ticks, np.zeros((len(scenarios), 4)))
         return KernelBlock(_normalise, ("wrench", "pose"), *given)
 
 
-def _observe_and_control(
-    wrench: Array, twist: Array, h: float, limit: Array, energy: Array, out: Array
-) -> None:
-    out[:] = wrench
-    for j in range(6):
-        energy += h * wrench[:, j] * twist[:, j]
-    speed = twist[:, 0] ** 2 + twist[:, 1] ** 2 + twist[:, 2] ** 2
-    on = (energy < 0.0) & (speed > 0.0)
-    alpha = np.minimum(-energy[on] / (h * speed[on]), limit[on])
-    out[on, :3] += alpha[:, None] * twist[on, :3]
-    energy[on] += h * alpha * speed[on]
+@njit(cache=True)
+def _observe_and_control(wrench, twist, h, limit, energy, out):
+    for i in range(wrench.shape[0]):
+        speed = twist[i, 0] ** 2 + twist[i, 1] ** 2 + twist[i, 2] ** 2
+        for j in range(6):
+            out[i, j] = wrench[i, j]
+            energy[i] += h * wrench[i, j] * twist[i, j]
+        if energy[i] < 0.0 and speed > 0.0:
+            alpha = min(-energy[i] / (h * speed), limit[i])
+            for j in range(3):
+                out[i, j] += alpha * twist[i, j]
+            energy[i] += h * alpha * speed
 
 
-def _normalise(
-    wrench: Array, pose: Array, twist: Array, gains: Array, memory: Array, out: Array
-) -> None:
-    """``gains`` (n, 3): gain, smoothing, and delay [ticks]; ``memory`` (n, 4)."""
-    force, v, (gain, smooth, delay) = wrench[:, 2], twist[:, 2], gains.T
-    before, change, power, size = memory.T
-    change += smooth * (delay * (force - before) - change)
-    before[:] = force
-    power += smooth * (change * v - power)
-    size += smooth * (np.abs(force * v) - size)
-    ratio = np.divide(power, size, out=np.zeros_like(size), where=size > 0.0).clip(0.0, 1.0)
-    out[:] = wrench
-    extra = gain * ratio * np.abs(force) * np.where(v > 0.0, 1.0, -1.0)
-    _push(pose, extra, out, np.ones(len(v), dtype=bool))
+@njit(cache=True)
+def _normalise(wrench, pose, twist, gain, smooth, delay, memory, out):
+    for i in range(wrench.shape[0]):
+        m = memory[i]
+        force, v = wrench[i, 2], twist[i, 2]
+        m[1] += smooth[i] * (delay[i] * (force - m[0]) - m[1])
+        m[0] = force
+        m[2] += smooth[i] * (m[1] * v - m[2])
+        m[3] += smooth[i] * (abs(force * v) - m[3])
+        ratio = min(max(m[2] / m[3], 0.0), 1.0) if m[3] > 0.0 else 0.0
+        extra = gain[i] * ratio * abs(force) * (1.0 if v > 0.0 else -1.0)
+        for j in range(6):
+            out[i, j] = wrench[i, j]
+        out[i, 2] += extra
+        out[i, 3] += pose[i, 1] * extra
+        out[i, 4] -= pose[i, 0] * extra

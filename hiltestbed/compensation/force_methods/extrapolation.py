@@ -40,6 +40,7 @@ from hiltestbed.compensation.history import History
 from hiltestbed.compensation.interfaces import ForceBlock, KernelBlock
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import ForceMethod, Input, force_of
+from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import Positive
 from hiltestbed.frames import Array
 from hiltestbed.plugins import register
@@ -114,8 +115,9 @@ class Kalman(ForceMethod):
         n, h = len(scenarios), 1.0 / scenarios[0].rate
         own = force_of(scenarios, cls)
         gain = np.array([steady_gain(2.0 * math.pi * force.bandwidth, h) for force in own])
-        delay = np.array([[s.sensor.delay] for s in scenarios])
-        return KernelBlock(_predict, ("wrench",), gain, delay, h, np.zeros((n, 3, 6)))
+        delay = np.array([s.sensor.delay for s in scenarios])
+        # force, slope [1/s], curvature [1/s^2]
+        return KernelBlock(_predict, ("wrench",), gain, delay, h, np.zeros((n, 6, 3)))
 
     def memory(self) -> float:
         return 1.0 / (2.0 * math.pi * self.bandwidth)
@@ -138,10 +140,16 @@ def steady_gain(radius: float, tick: float) -> Array:
     return covariance[:, 0] / (covariance[0, 0] + 1.0) / np.array([1.0, tick, tick**2])
 
 
-def _predict(u: Array, gain: Array, delay: Array, h: float, state: Array, y: Array) -> None:
-    """``state`` (n, 3, 6): force, slope and curvature of ``u`` (n, 6); ``gain`` (n, 3)."""
-    place, slope, bend = np.moveaxis(state, 1, 0)
-    place += h * (slope + 0.5 * h * bend)
-    slope += h * bend
-    state += gain[..., None] * (u - place)[:, None]
-    y[:] = place + delay * (slope + 0.5 * delay * bend)
+@njit(cache=True)
+def _predict(u, gain, delay, h, state, y):
+    for i in range(u.shape[0]):
+        t = delay[i]
+        for j in range(6):
+            s = state[i, j]
+            s[0] += h * (s[1] + 0.5 * h * s[2])
+            s[1] += h * s[2]
+            off = u[i, j] - s[0]
+            s[0] += gain[i, 0] * off
+            s[1] += gain[i, 1] * off
+            s[2] += gain[i, 2] * off
+            y[i, j] = s[0] + t * (s[1] + 0.5 * t * s[2])

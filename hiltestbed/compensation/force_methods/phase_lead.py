@@ -138,17 +138,24 @@ class SecondOrderLead(ForceMethod):
         up = np.stack([1.0 + b + c, -b - 2.0 * c, c], axis=1)
         down = np.stack([1.0 + 2.0 * lag / h + a**2, -2.0 * lag / h - 2.0 * a**2, a**2], axis=1)
         # the last two inputs, the last two outputs
-        given = (up[..., None], down[..., None], np.zeros((n, 4, 6)))
-        return KernelBlock(_lead_twice, ("wrench",), *given)
+        return KernelBlock(_lead_twice, ("wrench",), up, down, np.zeros((n, 6, 4)))
 
     def memory(self) -> float:
         return self.lag
 
 
-def _lead_twice(u: Array, up: Array, down: Array, memory: Array, y: Array) -> None:
-    """``up``, ``down`` (n, 3, 1): weights; ``memory`` (n, 4, 6)."""
-    (u1, u2, y1, y2), (b0, b1, b2) = np.moveaxis(memory, 1, 0), np.moveaxis(up, 1, 0)
-    a0, a1, a2 = np.moveaxis(down, 1, 0)
-    y[:] = (b0 * u + b1 * u1 + b2 * u2 - a1 * y1 - a2 * y2) / a0
-    u2[:], y2[:] = u1, y1
-    u1[:], y1[:] = u, y
+@njit(cache=True)
+def _lead_twice(u, up, down, memory, y):
+    for i in range(u.shape[0]):
+        for j in range(6):
+            m = memory[i, j]
+            out = (
+                up[i, 0] * u[i, j]
+                + up[i, 1] * m[0]
+                + up[i, 2] * m[1]
+                - down[i, 1] * m[2]
+                - down[i, 2] * m[3]
+            ) / down[i, 0]
+            m[1], m[0] = m[0], u[i, j]
+            m[3], m[2] = m[2], out
+            y[i, j] = out

@@ -35,7 +35,7 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.frames import Array
-from hiltestbed.identification.held import UNTURNED, referred
+from hiltestbed.identification.held import UNTURNED, add_moment, referred
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
@@ -108,8 +108,15 @@ class ReconstructionBlock:
         observe(measurement.pose, measurement.twist, self._at_A, UNTURNED, self._state)
         self._states.remember(self._state)
         self._states.before(self._ticks, self._late)
-        pair = measurement.stiffness, measurement.damping
-        _reconstruct((measurement.wrench, led), self._state, self._late, pair, self.output)
+        _reconstruct(
+            measurement.wrench,
+            led,
+            self._state,
+            self._late,
+            measurement.stiffness,
+            measurement.damping,
+            self.output,
+        )
         if self._captured is not None:
             self._captured.take_over(measurement, self.output)
         return self.output
@@ -143,37 +150,37 @@ class SmithPredictorBlock:
         return self.output
 
 
-def _reconstruct(
-    reading: tuple[Array, Array], now: Array, late: Array, pair: tuple[Array, Array], out: Array
-) -> None:
+@njit(cache=True)
+def _reconstruct(wrench, led, now, late, stiffness, damping, out):
     """Along the insertion the spring cannot pull and acts only beyond the nominal touch; the other
-    axes act while fz is positive. ``reading``: the wrench, and led; ``pair``: k and c.
+    axes act while fz is positive.
     """
-    (wrench, led), (k, c) = reading, pair
-    force = _change(now, late, k, c)
-    force[:, 2] = _pressed(now[:, 2], now[:, 8], k[:, 2], c[:, 2])
-    force[:, 2] -= _pressed(late[:, 2], late[:, 8], k[:, 2], c[:, 2])
-    known = ~np.isnan(k)
-    known &= (wrench[:, 2:3] > 0.0) | (np.arange(6) == 2)
-    out[:] = np.where(known, wrench + force, led)
+    for i in range(wrench.shape[0]):
+        pressing = wrench[i, 2] > 0.0
+        for j in range(6):
+            k, c = stiffness[i, j], damping[i, j]
+            if np.isnan(k) or (not pressing and j != 2):
+                out[i, j] = led[i, j]
+                continue
+            if j == 2:
+                force = max(0.0, k * now[i, 2] + c * now[i, 8]) if now[i, 2] > 0.0 else 0.0
+                force -= max(0.0, k * late[i, 2] + c * late[i, 8]) if late[i, 2] > 0.0 else 0.0
+            else:
+                force = k * (now[i, j] - late[i, j]) + c * (now[i, 6 + j] - late[i, 6 + j])
+            out[i, j] = wrench[i, j] + force
 
 
-def _change(now: Array, late: Array, k: Array, c: Array) -> Array:
-    """``(n, 6)`` of the force of springs and dampers from the state ``late`` (n, 12) to ``now``."""
-    return k * (now[:, :6] - late[:, :6]) + c * (now[:, 6:] - late[:, 6:])
-
-
-def _pressed(x: Array, v: Array, k: Array, c: Array) -> Array:
-    """``(n,)`` force of a spring and damper that cannot pull, beyond the touch."""
-    return np.where(x > 0.0, np.maximum(0.0, k * x + c * v), 0.0)
-
-
-def _spring(pose: Array, twist: Array, stiffness: Array, damping: Array, out: Array) -> None:
+@njit(cache=True)
+def _spring(pose, twist, stiffness, damping, out):
     """The wrench at P's origin of a spring and damper at A along z, beyond the touch."""
-    force = _pressed(pose[:, 2], twist[:, 2], stiffness, damping)
-    out[:, 2] = force
-    out[:, 3] = pose[:, 1] * force
-    out[:, 4] = -pose[:, 0] * force
+    for i in range(pose.shape[0]):
+        x, v = pose[i, 2], twist[i, 2]
+        force = max(0.0, stiffness[i] * x + damping[i] * v) if x > 0.0 else 0.0
+        for j in range(6):
+            out[i, j] = 0.0
+        out[i, 2] = force
+        out[i, 3] = pose[i, 1] * force
+        out[i, 4] = -pose[i, 0] * force
 
 
 class CapturedContact:
@@ -193,11 +200,9 @@ class CapturedContact:
         observe(m.pose, m.twist, m.lever, UNTURNED, self._state)
         self._states.remember(self._state)
         self._states.before(self._ticks, self._late)
-        if (on := m.captured).any():
-            reading, pair = (m.wrench[on], led[on]), (m.stiffness[on], m.damping[on])
-            held = np.empty_like(reading[0])
-            _reconstruct_held(reading, self._state[on], self._late[on], pair, held)
-            wrench[on] = held
+        _reconstruct_held(
+            m.captured, m.wrench, led, self._state, self._late, m.stiffness, m.damping, wrench
+        )
 
 
 @njit(cache=True)
@@ -209,13 +214,16 @@ def observe(pose, twist, lever, reference, out):
         referred(pose[i], twist[i], lever[i], reference, out[i, 0:6], out[i, 6:12])
 
 
-def _reconstruct_held(
-    reading: tuple[Array, Array], now: Array, late: Array, pair: tuple[Array, Array], out: Array
-) -> None:
-    """As :func:`_reconstruct`, about the reference points: at ``late`` the reading acted."""
-    k, c = pair
-    felt, ahead = (wrench.copy() for wrench in reading)
-    felt[:, 3:] -= np.cross(late[:, :3], felt[:, :3])
-    ahead[:, 3:] -= np.cross(now[:, :3], ahead[:, :3])
-    out[:] = np.where(np.isnan(k), ahead, felt + _change(now, late, k, c))
-    out[:, 3:] += np.cross(now[:, :3], out[:, :3])
+@njit(cache=True)
+def _reconstruct_held(captured, measured, led, now, late, stiffness, damping, wrench):
+    felt, ahead = np.empty(6), np.empty(6)
+    for i in range(captured.shape[0]):
+        if captured[i]:
+            felt[:], ahead[:] = measured[i], led[i]
+            add_moment(-1.0, late[i], felt)
+            add_moment(-1.0, now[i], ahead)
+            for j in range(6):
+                k, c = stiffness[i, j], damping[i, j]
+                change = k * (now[i, j] - late[i, j]) + c * (now[i, 6 + j] - late[i, 6 + j])
+                wrench[i, j] = ahead[j] if np.isnan(k) else felt[j] + change
+            add_moment(1.0, now[i], wrench[i])

@@ -26,6 +26,7 @@ from pydantic import Field
 from hiltestbed.compensation.interfaces import Derivatives
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, MotionMethod, motion_of
+from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import Positive
 from hiltestbed.frames import Array
 from hiltestbed.plugins import register
@@ -78,12 +79,29 @@ class AdmittanceBlock:
     ) -> None:
         """Write to ``out`` (n, 7) the pose commanded to the platform."""
         out[:] = pose
-        h, before, on = self._tick, self.offset.copy(), measurement.stiffness[:, AXIAL] > 0.0
-        k, c = (x[on, AXIAL] for x in (measurement.stiffness, measurement.damping))
-        c = np.maximum(c, 0.0)
-        closing = derivatives[0][on, AXIAL] - before[on] / h
-        held = (AIM * self._limit[on] - k * out[on, AXIAL] - c * closing) / (k + c / h)
-        most = self._speed[on] * h
-        self.offset[on] = np.minimum(0.0, before[on] + (held - before[on]).clip(-most, most))
-        self.rate[:, AXIAL] = (self.offset - before) / h
-        out[:, AXIAL] += self.offset
+        stiffness, damping = measurement.stiffness[:, AXIAL], measurement.damping[:, AXIAL]
+        _yield(
+            self._tick,
+            self._limit,
+            self._speed,
+            stiffness,
+            damping,
+            derivatives[0],
+            self.offset,
+            self.rate,
+            out,
+        )
+
+
+@njit(cache=True)
+def _yield(h, limit, speed, stiffness, damping, velocity, offset, rate, out):
+    for i in range(out.shape[0]):
+        k, before = stiffness[i], offset[i]
+        if k > 0.0:
+            c = max(damping[i], 0.0)
+            held = (AIM * limit[i] - k * out[i, AXIAL] - c * (velocity[i, AXIAL] - before / h)) / (
+                k + c / h
+            )
+            offset[i] = min(0.0, before + min(max(held - before, -speed[i] * h), speed[i] * h))
+        rate[i, AXIAL] = (offset[i] - before) / h
+        out[i, AXIAL] += offset[i]

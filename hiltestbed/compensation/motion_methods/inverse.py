@@ -158,24 +158,32 @@ class AdaptiveInverse(Inverse):
         self, pose: Array, derivatives: Derivatives, measurement: Measurement, out: Array
     ) -> None:
         """Write to ``out`` (n, 7) the pose commanded to the platform."""
-        x = measurement.pose[:, 2]
-        self.coefficients[:, :3] = _adapt(x, *self._given, self._sums, self._memory)
+        _adapt(measurement.pose, *self._given, self._sums, self._memory, self.coefficients)
         super().command(pose, derivatives, measurement, out)
         self._memory[:, 0] = out[:, 2]
 
 
-def _adapt(x: Array, h: float, fade: Array, believed: Array, sums: Array, memory: Array) -> Array:
-    """``(n, 3)`` coefficients after a tick at the position ``x`` (n,); ``memory`` (n, 4)."""
-    command, before, v_before, ticks = memory.T
-    v = (x - before) / h
-    rows = np.stack([x, v / SCALES[1], (v - v_before) / h / SCALES[2], command], axis=1)
-    on = ticks >= 2.0
-    sums[on] = fade[on, None, None] * sums[on] + rows[on, :3, None] * rows[on, None, :]
-    before[:], v_before[:] = x, v
-    ticks += 1.0
-    side = sums[:, :, 3] + PRIOR * believed[:, :3] * SCALES
-    found = np.linalg.solve(sums[:, :, :3] + PRIOR * np.eye(3), side[..., None])[..., 0]
-    return (found / SCALES).clip(BOUNDS[:, 0], BOUNDS[:, 1])
+@njit(cache=True)
+def _adapt(pose_act, h, fade, believed, sums, memory, coefficients):
+    row, matrix, side = np.empty(3), np.empty((3, 3)), np.empty(3)
+    for i in range(pose_act.shape[0]):
+        m = memory[i]
+        x = pose_act[i, 2]
+        v = (x - m[1]) / h
+        if m[3] >= 2.0:
+            row[0], row[1], row[2] = x, v / SCALES[1], (v - m[2]) / h / SCALES[2]
+            for a in range(3):
+                for b in range(3):
+                    sums[i, a, b] = fade[i] * sums[i, a, b] + row[a] * row[b]
+                sums[i, a, 3] = fade[i] * sums[i, a, 3] + row[a] * m[0]
+        m[1], m[2], m[3] = x, v, m[3] + 1.0
+        for a in range(3):
+            for b in range(3):
+                matrix[a, b] = sums[i, a, b] + (PRIOR if a == b else 0.0)
+            side[a] = sums[i, a, 3] + PRIOR * believed[i, a] * SCALES[a]
+        solution = np.linalg.solve(matrix, side)
+        for a in range(3):
+            coefficients[i, a] = min(max(solution[a] / SCALES[a], BOUNDS[a, 0]), BOUNDS[a, 1])
 
 
 @njit(cache=True)

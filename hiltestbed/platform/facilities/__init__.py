@@ -25,7 +25,7 @@ Drives: ``d = facility.drives(model, runs, tool="active_A")``, arrays (n, ...) u
         wrench at d.place_A, d.motion_A, d.place_P, d.motion_P
         d.push(s, qpos, qvel, inputs)
         batch.step(stage=VEL)
-        d.observe(qpos, qvel, limit, diverged)
+        d.observing(qpos, qvel, limit, diverged)()
     d.arrive()                             # d.reference is that of t_(k+1)
 
 Freely moving bodies replace numerical model and drives (:class:`bodies.PhysicalFacility`, which

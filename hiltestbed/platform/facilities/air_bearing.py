@@ -13,50 +13,86 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable
+from functools import cached_property
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
 from hiltestbed.config.models import load
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.bodies import SIDES, Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT
-from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.payload import GRAVITY
 from hiltestbed.platform.shipped.halls import AirBearingSettings
 
 CREEP = 1e-4  # [m/s] v_0, speed below which the pads' friction fades
+TILT_X, TILT_Z, FILM, RADIUS, RUB, HOSE, HOSE_DAMPING = range(7)  # parameters of a run
+
+
+class Pads(NamedTuple):
+    """The moving articles of n runs.
+
+    Attributes:
+        numbers: (n, 7). dofs, qadr: (b, 3) x, z and rotation of each article. masses: (b,) [kg].
+            origin: (n, b, 2) rest position of the hoses [m].
+    """
+
+    numbers: Array
+    dofs: NDArray[np.int64]
+    qadr: NDArray[np.int64]
+    masses: Array
+    origin: Array
+
+
+@njit(cache=True)
+def _push(pads, qpos, qvel, applied):
+    dofs = pads.dofs
+    for i in range(qpos.shape[0]):
+        p = pads.numbers[i]
+        for b in range(dofs.shape[0]):
+            weight = pads.masses[b] * GRAVITY
+            vx, vz, turn = qvel[i, dofs[b, 0]], qvel[i, dofs[b, 1]], qvel[i, dofs[b, 2]]
+            rub = p[RUB] * weight / math.sqrt(vx * vx + vz * vz + CREEP * CREEP)
+            drag = p[FILM] + p[HOSE_DAMPING] + rub
+            for c in range(2):
+                v = qvel[i, dofs[b, c]]
+                pull = p[HOSE] * (qpos[i, pads.qadr[b, c]] - pads.origin[i, b, c])
+                applied[i, dofs[b, c]] = weight * math.sin(p[c]) - drag * v - pull
+            applied[i, dofs[b, 2]] = -(p[FILM] + rub) * p[RADIUS] * p[RADIUS] * turn
 
 
 class Floats(Bodies):
     """Articles of `n` runs on their air films."""
 
-    def __init__(self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs) -> None:
-        super().__init__(model, kinematics, runs)
+    @cached_property
+    def _pads(self) -> Pads:
+        model, runs = self.model, self.runs
         moving = [side for side in SIDES if model.body(side).jntnum[0]]
         joints = [[model.joint(f"{side}_{name}") for name in ("x", "z", "turn")] for side in moving]
-        # (b, 3) degrees of freedom of each article; (b, 2) addresses of its place
-        self._dofs = np.array([[int(j.dofadr[0]) for j in row] for row in joints])
-        self._places = np.array([[int(j.qposadr[0]) for j in row[:2]] for row in joints])
-        self._weights = GRAVITY * np.array([model.body(s).subtreemass[0] for s in moving])
-        self._origin = np.zeros((len(runs.settings), len(moving), 2))  # rest of the hoses [m]
         names = ("film_damping", "pad_radius", "friction", "hose_stiffness", "hose_damping")
-        self._numbers = [runs.numbers(name)[:, None] for name in names]
         tilt = np.array([s.tilt for s in runs.settings], dtype=float)
-        self._along = self._weights[:, None] * np.vectorize(math.sin)(tilt)[:, None]
+        return Pads(
+            numbers=np.column_stack([tilt, *map(runs.numbers, names)]),
+            dofs=np.array([[int(j.dofadr[0]) for j in row] for row in joints]),
+            qadr=np.array([[int(j.qposadr[0]) for j in row] for row in joints]),
+            masses=np.array([float(model.body(side).subtreemass[0]) for side in moving]),
+            origin=np.zeros((len(runs.settings), len(moving), 2)),
+        )
+
+    @cached_property
+    def _pushed(self) -> Call:
+        return Call(_push, self._pads, GIVEN, GIVEN, GIVEN)
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        self._origin[:] = qpos[:, self._places]
+        self._pads.origin[:] = qpos[:, self._pads.qadr[:, :2]]
 
     def push(self, sub: int, qpos: Array, qvel: Array, inputs: Array) -> None:
-        film, radius, friction, hose, loss = self._numbers
-        speed = qvel[:, self._dofs]
-        vx, vz = speed[..., 0], speed[..., 1]
-        rub = friction * self._weights / np.sqrt(vx * vx + vz * vz + CREEP * CREEP)
-        drag, pull = film + loss + rub, hose[..., None] * (qpos[:, self._places] - self._origin)
-        inputs[:, self._dofs[:, :2]] = self._along - drag[..., None] * speed[..., :2] - pull
-        inputs[:, self._dofs[:, 2]] = -(film + rub) * radius * radius * speed[..., 2]
+        self._pushed.on(qpos, qvel, inputs)()
 
 
 class AirBearing(PhysicalFacility):

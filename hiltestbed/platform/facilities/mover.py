@@ -5,7 +5,7 @@ freely. Both are read in the same way.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from operator import attrgetter
 from typing import Any, ClassVar, NamedTuple
@@ -118,13 +118,15 @@ class Mover:
     def _seen(self) -> Call:
         tree = self.kinematics.tree.towards_tools()
         parts = tree, scratch(tree), self.readings, self.sides
-        return Call(_observe, *parts, GIVEN, GIVEN, ..., GIVEN)
+        return Call(_observe, *parts, *(GIVEN,) * 4)
 
-    def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
-        """Read poses, twists and joints; returns whether a run has just exceeded ``limit`` [m/s,
-        rad/s], and marks it in ``diverged`` (n,).
+    def observing(
+        self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]
+    ) -> Callable[[], bool]:
+        """Call that reads poses, twists and joints, bound to arrays that are reused; it returns
+        whether a run has just exceeded ``limit`` [m/s, rad/s], and marks it in ``diverged`` (n,).
         """
-        return self._seen.on(qpos, qvel, diverged)(limit)
+        return self._seen.on(qpos, qvel, limit, diverged)
 
 
 @njit(cache=True)

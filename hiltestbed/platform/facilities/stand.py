@@ -93,6 +93,7 @@ class Stand:
         self.wrench = np.zeros((n, 6))
         self.diverged = np.zeros(n, dtype=bool)
         self.pose, self.twist = self.drives.pose, self.drives.twist
+        self._observe = self.drives.observing(self.qpos, self.qvel, LIMIT, self.diverged)
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Start in a uniform motion with ``twist`` (n, 6) whose command is at ``pose`` (n, 7)."""
@@ -102,7 +103,7 @@ class Stand:
         self._applied[:] = 0.0
         self.drives.settle(pose, twist, self.qpos, self.qvel)
         self.batch.forward()
-        self.drives.observe(self.qpos, self.qvel, LIMIT, self.diverged)
+        self._observe()
 
     def advance(self, pose: Array, twist: Array, accel: Array) -> None:
         """One tick towards ``pose`` (n, 7), with ``twist`` and ``accel`` (n, 6)."""
@@ -113,4 +114,4 @@ class Stand:
             self.drives.push(s, self.qpos, self.qvel, self.ctrl)
             self.batch.step()
         self.drives.arrive()
-        self.drives.observe(self.qpos, self.qvel, LIMIT, self.diverged)
+        self._observe()

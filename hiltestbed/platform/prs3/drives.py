@@ -165,6 +165,33 @@ def _aim(upper, dt, constants, payload, plan, away, xs):
 
 
 @njit(cache=True)
+def _push(gains, adr, plan, qpos, qvel, force, away, sub):
+    kp, kv = gains
+    for i in range(force.shape[0]):
+        if away[i]:
+            for j in range(3):
+                held = kp * (plan.steps[i, sub, 0, j] - qpos[i, adr[0, j]]) + kv * (
+                    plan.steps[i, sub, 1, j] - qvel[i, adr[1, j]]
+                )
+                force[i, j] = plan.steps[i, sub, 2, j] + held
+
+
+@njit(cache=True)
+def _take_out(plan, reading, residual, left, away, sub):
+    """Subtract the payload from the sensor's reading: the residual is a wrench of active on passive
+    side, zero while clamped.
+
+    left: (n, 2) largest residual force and torque so far.
+    """
+    for i in range(reading.shape[0]):
+        w = residual[i, sub]
+        for j in range(6):
+            w[j] = plan.load[i, sub + 1, j] - reading[i, j] if away[i] else 0.0
+        left[i, 0] = max(left[i, 0], math.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2))
+        left[i, 1] = max(left[i, 1], math.sqrt(w[3] ** 2 + w[4] ** 2 + w[5] ** 2))
+
+
+@njit(cache=True)
 def _observe(above, adr, qpos, qvel, upper, diverged):
     """Read the motion of P in W, and the sliders; returns whether a run has just diverged."""
     pose, twist = upper.reached, upper.twist
@@ -235,7 +262,9 @@ class UpperDrives:
         constants, state = load_constants(m, "P_nominal"), (self._qpos, self._qvel)
         parts = self.upper, self._dt, constants, self.payload, plan
         self._aim = bound(_aim, *parts, motion.away, motion.xs)
-        self._gains, self._ctrl, self._reading = gains, ctrl, reading
+        self._push = bound(_push, gains, adr, plan, *state, ctrl, motion.away, ...)
+        taken = plan, reading, self.residual, self.left, motion.away
+        self._take_out = bound(_take_out, *taken, ...)
         above = float(self.upper.shape[1])
         self._seen = Call(_observe, above, adr, *state, motion, GIVEN)
 
@@ -259,34 +288,18 @@ class UpperDrives:
     def run(self, going: NDArray[np.intp]) -> None:
         """One tick of the planned motion for the runs ``going``, which are away."""
         self._aim()
-        self.residual[:] = 0.0
         if not going.size:
+            self.residual[:] = 0.0
             return
         m = self.residual.shape[1]
         for s in range(m + 1):
-            self._push(going, s)
+            self._push(s)
             if s < m:
                 self.batch.step(going)
             else:
                 self.batch.forward(going)
             if s > 0:  # a step gives the reading at its start
-                self._take_out(going, s - 1)
-
-    def _push(self, going: NDArray[np.intp], s: int) -> None:
-        (kp, kv), (q, d) = self._gains, self._adr[:, :3]
-        position, velocity, force = np.moveaxis(self._plan.steps[going, s], 1, 0)
-        held = kp * (position - self._qpos[going][:, q]) + kv * (velocity - self._qvel[going][:, d])
-        self._ctrl[going] = force + held
-
-    def _take_out(self, going: NDArray[np.intp], s: int) -> None:
-        """Subtract the payload from the sensor's reading: the residual is a wrench of active on
-        passive side, zero while clamped.
-        """
-        rest = self._plan.load[going, s + 1] - self._reading[going, :6]
-        self.residual[going, s] = rest
-        x, y, z = np.moveaxis(rest.reshape(-1, 2, 3), 2, 0)
-        size = np.sqrt(x**2 + y**2 + z**2)
-        self.left[going] = np.maximum(self.left[going], size)
+                self._take_out(s - 1)
 
     def observe(self, diverged: NDArray[np.bool_]) -> bool:
         """Read the motion of P in W, and the sliders; returns whether a run has just diverged."""

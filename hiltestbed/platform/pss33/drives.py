@@ -269,7 +269,7 @@ class SliderDrives(Drives):
     @cached_property
     def _seen(self) -> Call:
         at = self.kinematics.addresses, self.kinematics.centre
-        return Call(_observe, *at, self.readings, self.sides, GIVEN, GIVEN, ..., GIVEN)
+        return Call(_observe, *at, self.readings, self.sides, *(GIVEN,) * 4)
 
     @cached_property
     def _pushed(self) -> Call:
