@@ -88,6 +88,10 @@ class Explanation:
         """The residual of the link with its timing as found, in units of the noise alone."""
         return Residual(self.link.with_timing(self.timing()), self.model.members)
 
+    def timed(self) -> LinkModel:
+        """The model with its timing as found."""
+        return self.model.through(self.link.with_timing(self.timing()))
+
     def leftovers(self) -> dict[str, Whiteness]:
         """Channel to what the causes leave of it, in contact or outside it, whichever is worse."""
         out: dict[str, Whiteness] = {}

@@ -308,11 +308,8 @@ def _isolability(findings: Findings, progress: Progress | None) -> tuple[Isolabl
     out: list[Isolable] = []
     for name, e in findings.explanations.items():
         if e.adequate:
-            out += isolability(
-                e.residual(),
-                e.candidates,
-                labelled(progress, f"closing step 2 of {CLOSING_STEPS}: sizes, {LINK_NAMES[name]}"),
-            )
+            words = f"closing step 2 of {CLOSING_STEPS}: sizes, {LINK_NAMES[name]}"
+            out += isolability(e, labelled(progress, words))
     return tuple(out)
 
 

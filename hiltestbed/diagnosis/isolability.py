@@ -1,57 +1,101 @@
-"""Stage "decide": isolability: the smallest size of each effect that these data would detect, and
+"""Stage "decide": isolability: the smallest size of each effect that these data would show, and
 which effects would look the same.
 
 The idea of structural fault isolation (E. Frisk, M. Krysander, fault isolability of over-determined
 systems), with sensitivities from replays of the links in place of structure: two effects with
-parallel residuals cannot be told apart at small size.
+parallel residuals cannot be told apart at small size. The likelihood is that by which causes are
+chosen: an effect shows at the size at which its evidence exceeds that of nothing, and two are told
+apart by the odds at which two causes are.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 
+from hiltestbed.diagnosis.explain import Explanation
+from hiltestbed.diagnosis.link_model import NOTHING, LinkModel
 from hiltestbed.diagnosis.links.base import Effects
-from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.result import Isolable
-from hiltestbed.diagnosis.settings import DETECTION
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
+from hiltestbed.inference.conclude import TOLD_APART
+from hiltestbed.inference.model import Hypothesis
 from hiltestbed.inference.search import Progress
 from hiltestbed.process.progress import UnitTime, time_left_text
 
-# derived: chi-square for each parameter, by the Bayesian information criterion for some thousand
-# independent samples
-PENALTY = math.log(1000.0)
-# chosen: of two residuals, above which effects are look-alikes: a tenth of the smaller one's energy
-# is its own
-LOOK_ALIKE_COSINE = 0.97
-BISECTIONS = 12
+# of seven decades of a size, which is then known to 6 %
+BISECTIONS = 8
+CERTAINTY = float(norm.ppf(0.95))  # standard deviations, of the odds with which a size shows
 
 
-def isolability(
-    residual: Residual, candidates: Sequence[Candidate], progress: Progress | None = None
-) -> tuple[Isolable, ...]:
-    """One entry for each effect among the candidates, for the hypothesis (of an axis, a body) that
-    shows most at its largest size.
+class Sensitivity:
+    """What effects change of the runs of a link, beside what its nuisances may."""
+
+    def __init__(self, model: LinkModel, each: Sequence[Effects]) -> None:
+        nuisances = [[c.at(c.sigma)] for c in model.timings() if c.sigma is not None]
+        errors = [np.concatenate(e) for e in model.common_errors(NOTHING)]
+        self._count = len(each)
+        # (R, E + P + Q, E + P + Q) of the changes of each run by effects, nuisances, common errors
+        found, start = [], 0
+        for z, scatter in model.changes([*each, *nuisances]):
+            end = start + z.shape[1]
+            columns = np.vstack([z, *(e[start:end] for e in errors)])
+            products = columns @ columns.T
+            products[: len(each), : len(each)] += np.diag(scatter[: len(each)])
+            found.append(products)
+            start = end
+        self._products = np.array(found)
+        self._among = slice(len(each), len(each) + len(nuisances))
+
+    def of(self, runs: Iterable[int] | None = None) -> Array:
+        """(E, E) scalar products of the changes by the effects on some runs, by default on all, in
+        units of the noise, after the nuisances have followed as far as their priors allow.
+        """
+        chosen = slice(None) if runs is None else list(runs)
+        total = self._products[chosen].sum(axis=0)
+        own, across = total[: self._count, : self._count], total[: self._count, self._among]
+        among = total[self._among, self._among]
+        return np.asarray(own - across @ np.linalg.solve(among + np.eye(len(among)), across.T))
+
+    def squares(self) -> Array:
+        """(E,) square of the size of each effect over its standard error: that of the noise, beside
+        the nuisances, or without these that of the noise and of the common errors, by which an
+        estimate is then off in full.
+        """
+        total = self._products.sum(axis=0)[: self._count]
+        own, off = np.diag(total), np.sum(total[:, self._among.stop :] ** 2, axis=1)
+        alone = np.divide(own**2, own + off, out=np.zeros_like(own), where=own > 0.0)
+        return np.minimum(alone, np.maximum(np.diag(self.of()), 0.0))
+
+
+def alike(products: Array) -> np.ndarray:
+    """(E, E) whether what one of two effects changes beyond the other is worth less than the odds
+    at which two causes are told apart; products: (E, E) of :meth:`Sensitivity.of`.
     """
-    found = detectable(residual, candidates, progress)
-    seen = {s.kind: s.change for s in found if s.change is not None}
-    directions = {kind: change / np.sqrt(square(change)) for kind, change in seen.items()}
-    out = []
-    for s in found:
-        own, likeness = directions.get(s.kind), dict[str, float]()
-        if own is not None:
-            others = {k: d for k, d in directions.items() if k != s.kind}
-            likeness = {k: abs(float(np.einsum("m,m->", own, d))) for k, d in others.items()}
-        ranked = sorted(likeness, key=lambda k: -likeness[k])
-        same = tuple(k for k in ranked if likeness[k] > LOOK_ALIKE_COSINE)
-        most = max(likeness.values(), default=0.0)
-        out.append(Isolable(s.kind, s.parameter, s.unit, s.size, same, most))
-    return tuple(out)
+    own = np.maximum(np.diag(products), np.finfo(float).tiny)
+    cosine = products / np.sqrt(np.outer(own, own))
+    apart = np.minimum.outer(own, own) * (1.0 - np.minimum(cosine**2, 1.0))
+    return np.asarray((apart < 2.0 * TOLD_APART) & ~np.eye(len(own), dtype=bool))
+
+
+def isolability(e: Explanation, progress: Progress | None = None) -> tuple[Isolable, ...]:
+    """One entry for each effect among the hypotheses of a link, for the one (of an axis, a body)
+    that shows most at its largest size.
+    """
+    model = e.timed()
+    found = detectable(model, e.candidates, progress)
+    seen = [s for s in found if s.size is not None]
+    same = alike(Sensitivity(model, [s.effects for s in seen]).of())
+    kinds = np.array([s.kind for s in seen])
+    others = {s.kind: tuple(kinds[row]) for s, row in zip(seen, same, strict=True)}
+    return tuple(
+        Isolable(s.kind, s.parameter, s.unit, s.size, others.get(s.kind, ())) for s in found
+    )
 
 
 @dataclass(frozen=True)
@@ -60,12 +104,12 @@ class Detectable:
 
     Attributes:
         candidate: the hypothesis of the effect that shows most. theta: its parameters at that size.
-        change: (M,) of the residual by it; None where the data do not show the effect.
+        shows: whether the data show the effect at the largest size that is searched.
     """
 
     candidate: Candidate
     theta: Array
-    change: Array | None
+    shows: bool
 
     @property
     def effects(self) -> Effects:
@@ -76,7 +120,7 @@ class Detectable:
         """Of the leading parameter, a factor's departure from 1, where the data show the effect;
         the end of its search where they show every size that is searched.
         """
-        if self.change is None:
+        if not self.shows:
             return None
         names = self.candidate.names
         value = float(self.theta[0]) if names else 1.0
@@ -99,24 +143,34 @@ class Detectable:
 
 
 def detectable(
-    residual: Residual, candidates: Sequence[Candidate], progress: Progress | None = None
+    model: LinkModel, candidates: Sequence[Candidate], progress: Progress | None = None
 ) -> list[Detectable]:
     """One for each effect among the candidates: of its hypotheses the one that changes the residual
-    most at its largest size, at the smallest size that would be detected beyond its penalty.
+    most at its largest size, at the smallest size at which it would be named.
 
     The bisections of all effects go on together: each step is one replay.
     """
-    null = residual(())
-    largest: dict[str, tuple[Candidate, Array]] = {}
-    changes = _changes(residual, null, candidates, np.ones(len(candidates)))
-    for c, change in zip(candidates, changes, strict=True):
-        if c.kind not in largest or square(change) > square(largest[c.kind][1]):
-            largest[c.kind] = (c, change)
+    here = model.likelihood(max(1, len({c.kind for c in candidates})))
+
+    def enough(c: Candidate, size: float, square: float) -> bool:
+        """Whether a change (its square) is worth the price of the cause in evidence, with
+        certainty, and more than two models of the same physics differ by: -2 log of the likelihood
+        falls by ``square``, with a standard deviation of twice its root.
+        """
+        price = -here.evidence(0.0, (c,))
+        worth = math.sqrt(square) > CERTAINTY + math.sqrt(CERTAINTY**2 + 2.0 * price)
+        return worth and not model.negligible(Hypothesis((c,), _at(c, size), np.zeros(0)), 0)
+
+    largest: dict[str, tuple[Candidate, float]] = {}
+    for c, square in zip(
+        candidates, _squares(model, candidates, [1.0] * len(candidates)), strict=True
+    ):
+        if c.kind not in largest or square > largest[c.kind][1]:
+            largest[c.kind] = (c, square)
     first = [c for c, _ in largest.values()]
-    need = [DETECTION + PENALTY * max(1, len(c.names)) for c in first]
-    best = [d if square(d) > n else None for (_, d), n in zip(largest.values(), need, strict=True)]
+    shows = [enough(c, 1.0, square) for c, square in largest.values()]
     low, high = np.zeros(len(first)), np.array([1.0 if c.names else 0.0 for c in first])
-    open_ = [i for i, c in enumerate(first) if c.names and best[i] is not None]
+    open_ = [i for i, c in enumerate(first) if c.names and shows[i]]
     pace = UnitTime()
     for done in range(BISECTIONS):
         if progress:
@@ -124,24 +178,20 @@ def detectable(
             left = time_left_text(pace.left(BISECTIONS - done), "in this step")
             progress(f"round {done + 1} of {BISECTIONS}{left}")
         middle = 0.5 * (low + high)
-        changes = _changes(residual, null, [first[i] for i in open_], middle[open_])
-        for i, d in zip(open_, changes, strict=True):
-            if square(d) > need[i]:
-                high[i], best[i] = middle[i], d
-            else:
-                low[i] = middle[i]
-    each = zip(first, best, high, strict=True)
-    return [Detectable(c, _at(c, float(most)), change) for c, change, most in each]
+        squares = _squares(model, [first[i] for i in open_], [middle[i] for i in open_])
+        for i, square in zip(open_, squares, strict=True):
+            ends = high if enough(first[i], middle[i], square) else low
+            ends[i] = middle[i]
+    each = zip(first, shows, high, strict=True)
+    return [Detectable(c, _at(c, float(most)), there) for c, there, most in each]
 
 
-def _changes(
-    residual: Residual, null: Array, candidates: Sequence[Candidate], sizes: Array
-) -> list[Array]:
-    """(M,) change of the residual by each candidate at its size, from 0 (next to nothing) to 1 (the
+def _squares(model: LinkModel, candidates: Sequence[Candidate], sizes: Sequence[float]) -> Array:
+    """:meth:`Sensitivity.squares` of each candidate at its size, from 0 (next to nothing) to 1 (the
     largest that is searched).
     """
-    effects = [[c.at(_at(c, float(size)))] for c, size in zip(candidates, sizes, strict=True)]
-    return [r - null for r in residual.many(effects)] if effects else []
+    effects = [[c.at(_at(c, size))] for c, size in zip(candidates, sizes, strict=True)]
+    return Sensitivity(model, effects).squares()
 
 
 def _at(c: Candidate, size: float) -> Array:

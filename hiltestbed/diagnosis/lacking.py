@@ -20,7 +20,6 @@ OFF_AXIS = "with motion off the axis of insertion"
 # derived: of the rows in which effects show. The smallest size that shows goes with the inverse
 # root of their number: below a quarter an effect must be more than twice as large
 LEAST_SHARE = 0.25
-MAX_UNKNOWN_SHARE = 0.9  # chosen: of the rows of every run, that depend on missing samples
 
 
 def lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
@@ -58,10 +57,6 @@ def _of_dynamics(runs: Sequence[MeasuredRun]) -> str | None:
         return "needs wrench_comp and pose_cmd in every run"
     if not all(all_axes(r, "wrench_comp") for r in runs):
         return f"needs all axes of wrench_comp: {OFF_AXIS} each of them acts on all of pose_cmd"
-    lost = [r.record.unknown("wrench_comp") for r in runs]
-    short = any(r.record.only_short_gaps("wrench_comp") for r in runs)
-    if not short and all(x[-1] and x.mean() > MAX_UNKNOWN_SHARE for x in lost):
-        return "needs wrench_comp without gaps: the effect of a missing sample on it is permanent"
     return None
 
 

@@ -265,6 +265,25 @@ class LinkModel(Model):
     def residuals(self, of: Hypothesis) -> RunResiduals:
         return self.many([of])[0]
 
+    def changes(self, each: Sequence[Sequence[Effect]]) -> list[tuple[Array, Array]]:
+        """Of each run, what lists of effects change: (E, M) of its whitened residual, and (E,)
+        twice the Kullback-Leibler divergence that a delay brings which varies from sample to
+        sample.
+        """
+        lanes = [(i, effects) for i in self.members for effects in ((), *each)]
+        shown, out = iter(self.link.predict(lanes)), []
+        for n, i in enumerate(self.members):
+            nominal, taken = next(shown), self._taken[n]
+            z, scatter = np.zeros((len(each), len(taken))), np.zeros(len(each))
+            for k, effects in enumerate(each):
+                mean, ratio = self._spread(i, next(shown), effects)
+                z[k] = finite(self._whitened(i, mean - nominal, self._noise(i))).ravel()[taken]
+                if ratio is not None:
+                    more = ratio.ravel()[taken] ** 2
+                    scatter[k] = float(np.sum(more - 1.0 - np.log(more)))
+            out.append((z, scatter))
+        return out
+
     def sample_weights(self) -> Array:
         pairs = zip(self.members, self._taken, strict=True)
         return np.concatenate([np.zeros(0), *(self.weight[i].ravel()[at] for i, at in pairs)])
@@ -346,14 +365,19 @@ class LinkModel(Model):
         """
         run, noise = self.link.runs[i], noise or self._noise(i)
         left = run.measured - shown
+        return finite(self._whitened(i, left, noise, smoothing, run.heavy))
+
+    def _whitened(
+        self, i: int, left: Array, noise: Aside, smoothing: float = 1.0, heavy: bool = False
+    ) -> Array:
         if (white := self.link.whitened(i, np.nan_to_num(left, nan=UNKNOWN))) is not None:
-            return finite(white)
-        z = softened((left - noise.of(left)) * (noise.weight / smoothing), run.heavy)
-        if self._colour is not None:
-            pairs = zip(self._colour[i], z.T, strict=True)
-            white = np.column_stack([lfilter(f, 1.0, x) for f, x in pairs])
-            z = np.where(noise.weight > 0.0, white, 0.0)
-        return z if np.isfinite(z).all() else finite(z)
+            return white
+        z = softened((left - noise.of(left)) * (noise.weight / smoothing), heavy)
+        if self._colour is None:
+            return z
+        pairs = zip(self._colour[i], z.T, strict=True)
+        white = np.column_stack([lfilter(f, 1.0, x) for f, x in pairs])
+        return np.where(noise.weight > 0.0, white, 0.0)
 
     def departure(self, of: Hypothesis) -> list[Array]:
         """In units of the noise alone, without what the model may err by."""
@@ -449,8 +473,8 @@ class LinkModel(Model):
             errors_of.append([0.5 * self._model_differs() * s for s in shown])
         out = []
         for errors in errors_of:
-            each = zip(self.members, shown, errors, strict=True)
-            z = [self.in_sigma(i, s - e) - self.in_sigma(i, s) for i, s, e in each]
+            pairs = zip(self.members, errors, strict=True)
+            z = [self._whitened(i, e, self._noise(i)) for i, e in pairs]
             rows = zip(self.groups, self.rows, strict=True)
             out.append([z[n][at, c] for (n, c, _), at in rows])
         return out

@@ -18,7 +18,7 @@ from numpy.polynomial import legendre
 from scipy.stats import chi2, gamma
 from scipy.stats import f as fisher
 
-from hiltestbed.diagnosis.settings import DETECTION, SIGNIFICANCE_LEVEL
+from hiltestbed.diagnosis.settings import SIGNIFICANCE_LEVEL, SIGNIFICANT
 from hiltestbed.frames import Array
 
 # chosen: of the polynomials; three quarters of a slow period are a quintic to half a percent
@@ -101,7 +101,7 @@ def wander_between(free: Sequence[tuple[Array, Array]], spread: Array) -> Array 
     apart = (weight * (coefficients - shared) ** 2)[:, 1:]
     if float(np.sum(apart)) <= float(chi2.isf(SIGNIFICANCE_LEVEL, freedom)):
         return None
-    few = max(float(fisher.isf(SIGNIFICANCE_LEVEL, 1, len(found) - 1)) / DETECTION, 1.0)
+    few = fisher.isf(SIGNIFICANCE_LEVEL, 1, len(found) - 1) / SIGNIFICANT
     return np.asarray(np.sqrt(few * coefficients.var(axis=0, ddof=1)))
 
 

@@ -42,7 +42,7 @@ from hiltestbed.diagnosis.path_noise import (
 )
 from hiltestbed.diagnosis.recorded import DatasetLayout, platform_link, wrench_link
 from hiltestbed.diagnosis.residual import Residual, square
-from hiltestbed.diagnosis.settings import DETECTION, LEVER_ARM
+from hiltestbed.diagnosis.settings import LEVER_ARM, SIGNIFICANT
 from hiltestbed.diagnosis.yielding import told_pose, yielded_under
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
@@ -168,7 +168,7 @@ def _under_the_contact(layout: DatasetLayout, path: Path, noise: Sequence[Array]
         again = [yielded_under(*one, level) for one in each]
         tried = replace(tried, unknown=misread(again, tick))
         left = square(Residual(link.with_unknown_paths(tried.unknown))(()))
-        if left > least + DETECTION:
+        if left > least + SIGNIFICANT:
             break
         out, least = tried, min(left, least)
         pairs = zip(tried.poses, again, tried.yielded, strict=True)

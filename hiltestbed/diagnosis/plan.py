@@ -5,9 +5,8 @@ then replayed with every effect: the smallest size that the runs would show, and
 would look the same at that size, are those of :mod:`hiltestbed.diagnosis.isolability`. Further runs
 are simulated as well; of them, those are proposed that tell most look-alikes apart.
 
-Two effects a and b at these sizes change the residuals, in units of the noise, by d_a and d_b. Runs
-are independent, so that d_a . d_b is a sum over runs, and what a further run is worth follows from
-its own products.
+Runs are independent: what a further run is worth follows from its own products of the changes by
+two effects.
 """
 
 from __future__ import annotations
@@ -29,12 +28,10 @@ from hiltestbed.diagnosis.further import (
     with_noise,
 )
 from hiltestbed.diagnosis.investigate import investigate
-from hiltestbed.diagnosis.isolability import LOOK_ALIKE_COSINE, Detectable, detectable
+from hiltestbed.diagnosis.isolability import Detectable, Sensitivity, alike, detectable
 from hiltestbed.diagnosis.plain import LINK_NAMES
-from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.errors import HiltestbedError
-from hiltestbed.frames import Array
 from hiltestbed.inference.search import Progress
 from hiltestbed.measured import load_dataset
 from hiltestbed.process.progress import labelled
@@ -110,24 +107,18 @@ class Plan:
 
 @dataclass(frozen=True)
 class _LinkPlan:
-    """Of a link: what is shown of each effect by the planned runs, and (R, E, E) the products of
-    the changes of the residual by two effects in each run, planned and proposed.
+    """Of a link: what is shown of each effect by the planned runs, and what these effects change in
+    each run, planned and proposed.
     """
 
     link: str
     shown: list[Detectable]
-    products: Array
+    sensitivity: Sensitivity
 
     def alike(self, runs: Sequence[int]) -> set[frozenset[str]]:
         """The pairs that look the same in these runs."""
-        total = self.products[list(runs)].sum(axis=0)
-        size = np.sqrt(np.diag(total))
-        cosine = np.abs(total) / np.outer(size, size)
-        kinds = [s.kind for s in self.shown]
-        return {
-            frozenset((kinds[i], kinds[j]))
-            for i, j in zip(*np.nonzero(np.triu(cosine > LOOK_ALIKE_COSINE, 1)), strict=True)
-        }
+        kinds, same = [s.kind for s in self.shown], alike(self.sensitivity.of(runs))
+        return {frozenset((kinds[i], kinds[j])) for i, j in zip(*np.nonzero(same), strict=True)}
 
 
 def plan(task: Scenario | LoadedDataset, progress: Progress | None = None) -> Plan:
@@ -159,11 +150,11 @@ def plan(task: Scenario | LoadedDataset, progress: Progress | None = None) -> Pl
             missing[name] = "its replay of the nominal simulation leaves more than noise"
             continue
         told = labelled(progress, f"sizes, {LINK_NAMES[name]}")
-        planned = found.residual().on(range(len(scenarios)))
-        every_effect = detectable(planned, found.candidates, told)
+        model = found.timed()
+        every_effect = detectable(model.on(range(len(scenarios))), found.candidates, told)
         shown = [s for s in every_effect if s.size is not None]
-        alike = _LinkPlan(name, shown, _products(found.residual(), shown))
-        links.append((every_effect, alike))
+        known = _LinkPlan(name, shown, Sensitivity(model, [s.effects for s in shown]))
+        links.append((every_effect, known))
     own = range(len(scenarios))
     return Plan(
         name=_name(task),
@@ -186,16 +177,6 @@ def _shown(s: Detectable, alike: set[str]) -> PlannedEffect:
 
 def _name(task: Scenario | LoadedDataset) -> str:
     return task.name if isinstance(task, Scenario) else task.spec.name or label_of(task.path)
-
-
-def _products(residual: Residual, shown: Sequence[Detectable]) -> Array:
-    """(R, E, E) of each run, see :class:`_LinkPlan`."""
-    null, *others = residual.by_run([(), *(s.effects for s in shown)])
-    out = np.zeros((len(null), len(shown), len(shown)))
-    for i, nominal in enumerate(null):
-        changes = np.stack([rows[i] - nominal for rows in others]).reshape(len(shown), -1)
-        out[i] = changes @ changes.T
-    return out
 
 
 def _proposals(

@@ -24,6 +24,7 @@ from hiltestbed.diagnosis.low_pass import LowPass
 from hiltestbed.diagnosis.noise import FEW_STEPS, POSE_PARTS, ForceNoise, few_levels
 from hiltestbed.diagnosis.settings import (
     CORRELATED_ROWS,
+    LEVER_ARM,
     LINK_MEMORY,
     MIN_POSE_NOISE,
     SMOOTHING_ROWS,
@@ -32,6 +33,7 @@ from hiltestbed.diagnosis.yielding import Deflection
 from hiltestbed.effects.search import Scales
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun, Record
+from hiltestbed.measured.record import MAX_BRIDGED
 from hiltestbed.replay.compensation import needs
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
@@ -89,6 +91,14 @@ class DatasetLayout:
         return np.array([self.noise.get(name, 0.0) for name in GROUPS[group].columns])
 
     @property
+    def largest(self) -> Array:
+        """(6,) largest size of a wrench on record in any run, at least the scale of the force."""
+        groups = ("wrench_meas", "wrench_comp")
+        values = [r.record.data[g] for r in self.runs for g in groups if r.record.has(g)]
+        least = self.scales.force * np.array([1.0] * 3 + [LEVER_ARM] * 3)
+        return np.max([least, *(np.abs(np.nan_to_num(v)).max(axis=0) for v in values)], axis=0)
+
+    @property
     def least_force(self) -> float:
         """[N] the least noise floor of a force."""
         return MIN_FORCE_NOISE * self.scales.force
@@ -139,7 +149,7 @@ def compensation_link(layout: DatasetLayout, rows: Sequence[int]) -> Compensatio
     """The compensation on the first ``rows`` of each run. Rows do not count that depend on readings
     which are not on record: one wrong reading shows in many rows of the output.
     """
-    noise = layout.level("wrench_meas")
+    noise, most = layout.level("wrench_meas"), layout.largest
     level = COMPENSATION_FLOOR * max(noise[2], 1e-6) * math.sqrt(CORRELATED_ROWS)
     groups = {g for r in layout.runs for g in needs(r.scenario)} - {"wrench_meas"}
     rates = {g.replace("pose", "twist") for g in groups}
@@ -152,7 +162,7 @@ def compensation_link(layout: DatasetLayout, rows: Sequence[int]) -> Compensatio
     for (r, n), run in zip(pairs, first, strict=True):
         record = r.record
         own = np.hypot(record.rounding("wrench_comp"), interpolation_error(record, "wrench_comp"))
-        passed = link.passed(input_variance(record, "wrench_meas", noise)[:n])
+        passed = link.passed(input_variance(record, "wrench_meas", noise, most)[:n])
         sigma = np.sqrt(run.sigma**2 + own[:n] ** 2 + passed)
         if link.linear:
             bridged = np.where(record.lost("wrench_meas")[:n, None], noise**2, 0.0)
@@ -192,21 +202,24 @@ def _late(force: Array, logged: LowPass) -> Array:
 def dynamics_link(layout: DatasetLayout, rows: Sequence[int]) -> DynamicsLink:
     """The numerical model on the first ``rows`` of each run."""
     level = DYNAMICS_FLOOR * math.sqrt(CORRELATED_ROWS)
-    noise, runs, variance = layout.level("wrench_comp"), [], []
+    noise, most, runs, variance = layout.level("wrench_comp"), layout.largest, [], []
     for r, n in zip(layout.runs, rows, strict=True):
         run = _computed(r, flat_pose(r.record.data["pose_cmd"]), level, n)
         written, quantised = pose_rounding(r, "pose_cmd")[:n], pose_steps(r, "pose_cmd")
-        runs.append(replace(run, sigma=np.sqrt(run.sigma**2 + written**2 + quantised**2)))
-        variance.append(input_variance(r.record, "wrench_comp", noise)[:n])
+        sigma = np.sqrt(run.sigma**2 + written**2 + quantised**2)
+        sigma[r.record.in_long_gaps("wrench_comp")[:n]] = np.inf
+        runs.append(replace(run, sigma=sigma))
+        variance.append(input_variance(r.record, "wrench_comp", noise, most)[:n])
     link = DynamicsLink(runs, layout.filled("wrench_comp", rows))
     return link.with_input_errors(variance) if any(v.any() for v in variance) else link
 
 
-def input_variance(record: Record, group: str, noise: Array) -> Array:
+def input_variance(record: Record, group: str, noise: Array, most: Array) -> Array:
     """(ticks, 6) variance of the errors of recorded wrenches, where they are the input of a link:
     of written digits, of converter steps, of ticks between the rows of a slower log, and of what
     bridges lost rows: noise, and the difference of the rows beside, by as much as which a reading
-    jumps at a touch. ``noise``: (6,) of it.
+    jumps at a touch; in a gap that may hide a contact, and at an end, the largest reading on
+    record. noise, most: (6,) of it.
 
     Errors of one stretch without rows are alike, and add up; on a line between rows, so does the
     noise of these.
@@ -229,10 +242,10 @@ def input_variance(record: Record, group: str, noise: Array) -> Array:
         values = record.column(name)[known]
         at = np.searchsorted(known, np.flatnonzero(lost))
         before, after = values[np.maximum(at - 1, 0)], values[np.minimum(at, len(known) - 1)]
-        inside = (at > 0) & (at < len(known))
-        error = np.where(inside, np.abs(after - before), np.maximum(abs(before), abs(after)))
         edges = np.flatnonzero(np.diff(np.r_[False, lost, False])).reshape(-1, 2)
         length = np.repeat(edges[:, 1] - edges[:, 0], edges[:, 1] - edges[:, 0])
+        bridged = (at > 0) & (at < len(known)) & (length <= MAX_BRIDGED)
+        error = np.where(bridged, np.abs(after - before), most[j])
         out[lost, j] += length * error**2 + LOST_NOISE * noise[j] ** 2
     return out
 

@@ -303,7 +303,6 @@ class Isolable:
     unit: str
     smallest: float | None
     confused_with: tuple[str, ...] = ()
-    likeness: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,7 @@ it is compared with changes. A *chosen* one is neither. Chi-square is in units o
 
 from __future__ import annotations
 
-# calibrated: chi-square, detection threshold of one effect beyond its penalty; the best wrong one
-# reached 3.6 on 460 healthy rigs
-DETECTION = 30.0
+from scipy.stats import chi2
 
 MIN_POSE_NOISE = 1e-9  # chosen: [m, rad] floor of a pose without noise: round-off of the file
 # chosen: rows of a computed channel that count as one sample, since its errors are smooth
@@ -20,6 +18,8 @@ MIN_NOISE_ROWS = 150
 # derived: standard deviations; one of 15,000 white records exceeds it by chance
 SIGNIFICANCE_SIGMA = 4.0
 SIGNIFICANCE_LEVEL = 3e-5  # derived: the same as a probability, for sums of a few squares
+# chi-square of one number that noise exceeds as rarely
+SIGNIFICANT = float(chi2.isf(SIGNIFICANCE_LEVEL, 1))
 # chosen: samples whose mean is tested as well: a smooth misfit far below the noise shows in it
 BLOCK_ROWS = 8
 # measured: share of the signal: another sub-stepping, another interpolation; a contact of a hundred

@@ -45,8 +45,6 @@ PERIODS = {
 WITHIN = 2.0  # median intervals by which the step across it may differ from one interval
 ON_TICK = 1e-6  # of a tick: a sample this close to a tick is used for it without interpolation
 AT_END = 0.02  # of a tick: the same for a tick just before the first or just after the last sample
-# part of the ticks without a sample of their own, above which the rows follow another clock
-OFF_TICKS = 0.2
 FEWEST = 4  # samples that determine a cubic
 OFF_RATE = 2e-3  # relative rate difference that a clock may have from the loop's
 UNEVEN = 0.45  # of an interval: largest deviation of a stamp
@@ -390,7 +388,8 @@ def bend(
     t: Array, values: Array, straight: Array, measured: NDArray[np.bool_], tick: float
 ) -> Array | None:
     """``(ticks,)`` difference of a cubic spline through the samples from the values at the ticks,
-    interpolated linearly where none was measured; None if the rows are the loop's ticks.
+    interpolated linearly where none was measured; None if most rows are ticks of the loop, one
+    after the other.
 
     For a curve with second derivative x'', linear interpolation is off by ``x'' h^2 / 8`` midway
     between samples at distance h; the error of the spline is a fraction of this that decreases with
@@ -405,12 +404,12 @@ def bend(
     t, values = t[known], values[known]
     if len(t) < FEWEST or not measured.any():
         return None
-    at = tick * np.arange(len(straight), dtype=np.float64)
-    inside = (at > t[0]) & (at < t[-1])
-    off = inside & (_about(t, at)[3] > ON_TICK * tick)
-    # rows that the logger lost are gaps, not another clock
-    if off.sum() <= OFF_TICKS * inside.sum():
+    # rows of the loop, some of which the logger lost, are no other clock
+    off = np.abs(t / tick - np.round(t / tick)) > ON_TICK
+    if not np.median(off) and np.median(np.diff(t)) < GAP * tick:
         return None
+    at = tick * np.arange(len(straight), dtype=np.float64)
+    off = (at > t[0]) & (at < t[-1]) & (_about(t, at)[3] > ON_TICK * tick)
     out = np.zeros(len(straight))
     linear = np.interp(at[off], at[measured], straight[measured])
     out[off] = CubicSpline(t, values)(at[off]) - linear

@@ -153,7 +153,7 @@ class Record:
             return values
         t, samples = self.t[known], values[known]
         values = np.interp(self.t, t, samples)
-        short = self.lost(group) & ~self._in_long_gaps(group)
+        short = self.lost(group) & ~self.in_long_gaps(group)
         if pose and short.any() and known.sum() > MAX_BRIDGED:
             values[short] = CubicSpline(t, samples)(self.t[short])
         if pose and j < 3 and not known[0] and len(t) > 1:  # at the speed of the first samples
@@ -184,17 +184,13 @@ class Record:
         """[Hz] of the ticks."""
         return float((self.ticks - 1) / self.t[-1]) if self.ticks > 1 else 1.0
 
-    def _in_long_gaps(self, group: str) -> NDArray[np.bool_]:
+    def in_long_gaps(self, group: str) -> NDArray[np.bool_]:
         """``(ticks,)``: missing samples, more than MAX_BRIDGED in a row or at an end."""
         missing = self.lost(group)
         for start, end in stretches(missing):
             if start > 0 and end < self.ticks and end - start <= MAX_BRIDGED:
                 missing[start:end] = False
         return missing
-
-    def only_short_gaps(self, group: str) -> bool:
-        """Whether a group is missing at most MAX_BRIDGED samples in a row, and none at an end."""
-        return not self._in_long_gaps(group).any()
 
     def unknown(self, group: str, memory: float | None = None) -> NDArray[np.bool_]:
         """``(ticks,)``: the output of a block here depends on missing samples of ``group``; of a
@@ -204,7 +200,7 @@ class Record:
             memory: [s] for which the block's output depends on its input; None: forever, as for an
                 integral.
         """
-        missing = self._in_long_gaps(group) if group.startswith("pose") else self.lost(group)
+        missing = self.in_long_gaps(group) if group.startswith("pose") else self.lost(group)
         lasting = self.ticks if memory is None else round(memory * self.rate)
         rows = np.arange(self.ticks)
         last = np.maximum.accumulate(np.where(missing, rows, -1))

@@ -18,7 +18,7 @@ from hiltestbed.diagnosis.floors import floors, white_outside
 from hiltestbed.diagnosis.free_flight import TOUCH_MARGIN_ROWS, first_touch, readings_apart
 from hiltestbed.diagnosis.noise import ForceNoise, force_noise, softened
 from hiltestbed.diagnosis.nuisances import Aside, tones_of, wander_between
-from hiltestbed.diagnosis.settings import DETECTION, SIGNIFICANCE_LEVEL
+from hiltestbed.diagnosis.settings import SIGNIFICANCE_LEVEL, SIGNIFICANT
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun, load_dataset
 from tests.measured.bounce import columns, write_dataset
@@ -308,8 +308,8 @@ def test_misfits_are_whitened_by_the_covariance_of_noise_and_nuisances() -> None
 
 @pytest.mark.parametrize("runs", [3, 6])
 def test_of_baselines_that_wander_what_they_share_shows_beyond_their_spread(runs: int) -> None:
-    """The square of what they share, over its variance, exceeds the detection threshold as rarely
-    as chi-square would.
+    """The square of what they share, over its variance, exceeds that of significance as rarely as
+    chi-square would.
     """
     rng, at = np.random.default_rng(22), np.linspace(-1.0, 1.0, 400)
     bend = at[:, None] ** 2 - 1.0 / 3.0
@@ -324,10 +324,10 @@ def test_of_baselines_that_wander_what_they_share_shows_beyond_their_spread(runs
         found.append(
             runs * np.mean([x.mean(axis=0) for x in readings], axis=0) ** 2 / wander[0] ** 2
         )
-    assert np.max(found) < DETECTION  # 2400 draws at a level of 3e-5
+    assert np.max(found) < SIGNIFICANT  # 2400 draws at a level of 3e-5
     assert np.mean(
         np.array(found)
-        > DETECTION * fisher.isf(0.05, 1, runs - 1) / fisher.isf(SIGNIFICANCE_LEVEL, 1, runs - 1)
+        > SIGNIFICANT * fisher.isf(0.05, 1, runs - 1) / fisher.isf(SIGNIFICANCE_LEVEL, 1, runs - 1)
     ) == pytest.approx(0.05, abs=0.02)
 
 
