@@ -23,15 +23,15 @@ from hiltestbed.platform.facilities.composed import TOOL, facility_model
 from hiltestbed.platform.facilities.demand import Demand, demand
 from hiltestbed.platform.facilities.facility import Facility
 from hiltestbed.platform.facilities.mjcf import MjcfFacility
+from hiltestbed.platform.facilities.pss33 import Pss33Facility
 from hiltestbed.platform.facilities.settings import Driven
 from hiltestbed.platform.facilities.stewart import Stewart
 from hiltestbed.platform.facilities.suspension import Suspension
 from hiltestbed.platform.kinds import Platform
-from hiltestbed.platform.pss33.drives import Pss33Facility
-from hiltestbed.platform.pss33.settings import Pss33
 from hiltestbed.platform.shipped.arms import SerialArmSettings, TwoArmsSettings
 from hiltestbed.platform.shipped.halls import AirBearingSettings, SuspensionSettings
 from hiltestbed.platform.shipped.mjcf import MjcfSettings
+from hiltestbed.platform.shipped.pss33 import Pss33
 from hiltestbed.platform.shipped.stewart import StewartSettings
 
 if TYPE_CHECKING:

@@ -14,9 +14,13 @@ from hiltestbed.platform.driven import runs_of
 from hiltestbed.platform.facilities.composed import TOOL, facility_model, facility_spec
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.mover import UPRIGHT
+from hiltestbed.platform.facilities.prs3 import (
+    Upper,
+    place,
+    upper_coordinates,
+    upper_kinematics,
+)
 from hiltestbed.platform.model import UPPER, nine_axis_scene
-from hiltestbed.platform.prs3.allocation import upper_coordinates
-from hiltestbed.platform.prs3.geometry import Upper, place, write_joints
 
 if TYPE_CHECKING:
     from hiltestbed.scenario.like import ScenarioLike as Scenario
@@ -69,6 +73,7 @@ class DrawnNineAxes:
     def __init__(self, scenario: Scenario) -> None:
         self.model = nine_axis_scene(scenario.mechanism)
         self._lower = facility_of(scenario).kinematics(self.model, ACTIVE + "A")
+        self._upper = upper_kinematics(self.model, UPPER)
 
     def port_poses(self, rows: NDArray[np.intp], pose_cmd: Array, pose: Array) -> Array:
         """``(frames, 7)`` planned poses of P in W at the rows of ``pose_cmd`` (ticks, 7)."""
@@ -83,8 +88,7 @@ class DrawnNineAxes:
         out, pose_A = np.empty((len(pose), self.model.nq)), np.empty(7)
         for q, at, port in zip(out, pose, pose_P, strict=True):
             pose_compose(port, at, pose_A)
-            q[:] = self._lower.solve(pose_A)[0]
-            write_joints(self.model, port, q, UPPER)
+            q[:] = self._upper.solve(port, start=self._lower.solve(pose_A)[0])[0]
         return out
 
 

@@ -106,5 +106,5 @@ class Platform(Strictly):
 
 
 PLATFORMS: Registry[Platform] = Registry(
-    "platform", Platform, ("hiltestbed.platform.pss33.settings", "hiltestbed.platform.shipped")
+    "platform", Platform, ("hiltestbed.platform.shipped.pss33", "hiltestbed.platform.shipped")
 )

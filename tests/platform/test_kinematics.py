@@ -4,16 +4,28 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
 from hiltestbed.config.models import load
 from hiltestbed.errors import InputError
 from hiltestbed.platform.facilities.facility import MOUNT, MOUNT_HOME, compiled
+from hiltestbed.platform.facilities.inverse_dynamics import joint_forces
 from hiltestbed.platform.facilities.kinematics import Kinematics
+from hiltestbed.platform.facilities.limbs import (
+    LimbKinematics,
+    jacobian,
+    limb_forces,
+    moved_masses,
+    slider,
+)
+from hiltestbed.platform.facilities.motion import place, scratch
+from hiltestbed.platform.facilities.prs3 import upper_kinematics
+from hiltestbed.platform.facilities.pss33 import shipped_limbs
+from hiltestbed.platform.model import upper_model
 from hiltestbed.platform.plant import Plant
-from hiltestbed.platform.pss33.kinematics import jacobian, shipped_limbs, slider
-from hiltestbed.platform.pss33.settings import Pss33
+from hiltestbed.platform.shipped.pss33 import Pss33
 from tests.platform.halls import facility, poses
 from tests.platform.rigs import scenario
 
@@ -66,6 +78,43 @@ def test_the_closed_form_solves_the_equations_that_every_facility_solves() -> No
         np.testing.assert_allclose(v, general.rates(q, twist), atol=1e-7)
         jacobian(closed.limbs, goal, sliders, jac)
         np.testing.assert_allclose([sliders, jac @ twist[0]], [q[closed.q], v[closed.v]], atol=1e-9)
+
+
+def bare_platform() -> tuple[mujoco.MjModel, LimbKinematics]:
+    model = compiled(facility("pss33").spec())
+    return model, facility("pss33").kinematics(model)
+
+
+def upper_platform() -> tuple[mujoco.MjModel, LimbKinematics]:
+    model = upper_model(scenario().mechanism, 1e-3)
+    return model, upper_kinematics(model)
+
+
+@pytest.mark.parametrize("make", [bare_platform, upper_platform])
+def test_the_drives_forces_in_closed_form_are_those_of_the_tree(make) -> None:
+    """From rest, with links that are uniform rods: the work of the drives in each motion that the
+    loops allow is that of all joint forces of the tree.
+    """
+    model, kinematics = make()
+    count, tree = len(kinematics.limbs), kinematics.tree
+    for j in range(count):
+        mass, end = tree.masses[model.body(f"link_{j}").id], model.site(f"link_end_{j}").pos
+        inertia = mass[0] / 12.0 * (end @ end * np.eye(3) - np.outer(end, end))
+        mass[1:4], mass[4:13] = 0.5 * end, inertia.ravel()
+    tool, rng = kinematics.tools[0], np.random.default_rng(8)
+    q = kinematics.home.copy()
+    q[kinematics.q] += rng.uniform(-0.02, 0.02, count)
+    q = kinematics.closed(q)
+    pose, accel = kinematics.poses(q)[0], rng.normal(size=count)
+    every = np.array([kinematics.following(q, unit) for unit in np.eye(count)])
+    ways = np.array([kinematics.twists(q, rates)[0] for rates in every]).T.copy()
+    forces, w = np.empty(model.nv), scratch(tree)
+    place(tree, q, w)
+    joint_forces(tree, np.zeros(model.nv), accel @ every, model.opt.gravity.copy(), w, forces)
+    found, moving = np.empty(count), (pose, np.zeros(3), ways @ accel)
+    masses, work = moved_masses(model, tool), np.empty((8, 3))
+    limb_forces(kinematics.limbs, masses, ways, moving, accel, work, found)
+    np.testing.assert_allclose(found, every @ forces, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -21,9 +21,9 @@ from hiltestbed.config.models import load
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.bodies import SIDES, Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT
+from hiltestbed.platform.facilities.inverse_dynamics import GRAVITY
 from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.facilities.mover import Runs
-from hiltestbed.platform.payload import GRAVITY
 from hiltestbed.platform.shipped.halls import AirBearingSettings
 
 CREEP = 1e-4  # [m/s] v_0, speed below which the pads' friction fades

@@ -24,7 +24,7 @@ from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array, cross, rotate_back
 from hiltestbed.platform.facilities.bodies import PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, NOMINAL, TOOL_HOME, Facility, set_steps
-from hiltestbed.platform.payload import load_of
+from hiltestbed.platform.facilities.inverse_dynamics import load_of
 
 TOOL = ACTIVE + "A"  # the site that follows the command
 ROUNDING = 1e-9  # [N], [N m] rounding error of a difference of loads of up to 1e4

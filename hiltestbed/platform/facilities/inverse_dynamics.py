@@ -1,20 +1,76 @@
 """Inverse dynamics of a tree (recursive Newton-Euler; Featherstone, Rigid Body Dynamics Algorithms,
-2008, ch. 5), written in W.
+2008, ch. 5), written in W, and of one rigid body that a platform carries.
 
 Forces act on the tree's own joints; for closed loops, :func:`drive_forces` transfers them to the
 driven joints by virtual work: in every motion that the loops allow, the drives do the work of all
 joint forces of the tree.
+
+A load of mass m, centre of mass r and inertia I about it, about the origin of what carries it:
+
+    f = m (a + alpha x r + omega x (omega x r) + g),   t = I alpha + omega x I omega + r x f
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
+import mujoco
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.frames import rotate, rotate_back
+from hiltestbed.frames import Array, cross, rotate, rotate_back
 from hiltestbed.platform.facilities.tree import FREE, HINGE, SLIDE
+
+GRAVITY = 9.81  # [m/s^2]; here along -z of W
+
+
+def load_of(m: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int], origin: Array) -> Array:
+    """``(13,)`` mass, centre from ``origin`` (3,), inertia about it (9,) of ``bodies`` in W."""
+    mass = m.body_mass[bodies]
+    com = (mass[:, None] * data.xipos[bodies]).sum(axis=0) / mass.sum()
+    inertia = np.zeros((3, 3))
+    for b in bodies:
+        axes, r = data.ximat[b].reshape(3, 3), data.xipos[b] - com
+        inertia += axes @ np.diag(m.body_inertia[b]) @ axes.T + m.body_mass[b] * (
+            r @ r * np.eye(3) - np.outer(r, r)
+        )
+    return np.concatenate([[mass.sum()], com - origin, inertia.ravel()])
+
+
+@njit(cache=True)
+def _inertia_times(load, attitude, v, work, out):
+    """``out = R I R^T v`` with the inertia of ``load``; ``work`` (>= 2, 3) is overwritten."""
+    a, b = work[0], work[1]
+    rotate_back(attitude, v, a)
+    for i in range(3):
+        b[i] = load[4 + 3 * i] * a[0] + load[5 + 3 * i] * a[1] + load[6 + 3 * i] * a[2]
+    rotate(attitude, b, out)
+
+
+@njit(cache=True)
+def carry(load, attitude, spin, accel, work, wrench):
+    """``wrench`` (6,) in W at its origin that accelerates ``load`` (13,) and supports its weight.
+
+    Args:
+        attitude: (4,) of what carries it. spin: (3,) its angular velocity. accel: (6,) linear (of
+            its origin) and angular acceleration; all in W. work: (>= 6, 3), overwritten.
+    """
+    r, v, w, f = work[2], work[3], work[4], work[5]
+    rotate(attitude, load[1:4], r)
+    cross(spin, r, v)
+    cross(spin, v, w)
+    cross(accel[3:6], r, v)
+    for j in range(3):
+        f[j] = load[0] * (accel[j] + v[j] + w[j])
+    f[2] += load[0] * GRAVITY
+    _inertia_times(load, attitude, spin, work, v)
+    cross(spin, v, w)
+    _inertia_times(load, attitude, accel[3:6], work, v)
+    cross(r, f, wrench[3:6])
+    for j in range(3):
+        wrench[j] = f[j]
+        wrench[3 + j] += v[j] + w[j]
 
 
 @njit(cache=True)

@@ -13,7 +13,8 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_mul, quat_normalise, rotate
 from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE, JointTree
 
-SPARE = 27
+LOCAL = 27  # first number of the part of the work space that poses and velocities use
+SPARE = LOCAL + 15
 
 
 class Scratch(NamedTuple):
@@ -68,7 +69,8 @@ def scratch(tree: JointTree) -> Scratch:
 @njit(cache=True)
 def place(tree, q, w):
     """Poses of bodies and axes of joints at the joint positions ``q`` (nq,)."""
-    turn, quat, after, r = np.empty(4), np.empty(4), np.empty(4), np.empty(3)
+    local = w.spare[LOCAL:]
+    r, turn, quat, after = local[0:3], local[3:7], local[7:11], local[11:15]
     for b in range(1, tree.bodies.shape[0]):
         p, first, count = tree.bodies[b, 0], tree.bodies[b, 1], tree.bodies[b, 2]
         pose = w.poses[b]
@@ -120,10 +122,16 @@ def place(tree, q, w):
 @njit(cache=True)
 def move(tree, v, w):
     """Velocities of the bodies in ``w.motion`` for joint rates ``v`` (nv,), at current poses."""
-    local = np.empty(3)
+    local = w.spare[LOCAL : LOCAL + 3]
     for b in range(1, tree.bodies.shape[0]):
         p, first, count = tree.bodies[b, 0], tree.bodies[b, 1], tree.bodies[b, 2]
         motion, pose = w.motion[b], w.poses[b]
+        if count == 1 and tree.joints[first, 0] == FREE:
+            a = tree.joints[first, 3]
+            for i in range(3):
+                motion[i] = v[a + i]
+            rotate(pose[3:7], v[a + 3 : a + 6], motion[3:6])
+            continue
         _carry(w.poses[p], w.motion[p], pose, motion)
         for i in range(3):
             motion[3 + i] = w.motion[p, 3 + i]
@@ -138,11 +146,6 @@ def move(tree, v, w):
                 for i in range(3):
                     local[i] = axis[3 + i] * v[a]
             else:
-                if kind == FREE:
-                    for i in range(3):
-                        motion[i] = v[a + i]
-                        motion[3 + i] = 0.0
-                    a += 3
                 rotate(pose[3:7], v[a : a + 3], local)
             for i in range(3):
                 k, l = (i + 1) % 3, (i + 2) % 3
@@ -171,8 +174,7 @@ def tool_pose(tree, w, t, out):
 @njit(cache=True)
 def tool_twist(tree, w, t, out):
     """``out`` (6,): twist of tool ``t`` in W; poses and velocities must be current."""
-    b = tree.tools[t]
-    point = np.empty(3)
+    b, point = tree.tools[t], w.spare[LOCAL : LOCAL + 3]
     rotate(w.poses[b, 3:7], tree.tool_frames[t], point)
     for i in range(3):
         point[i] += w.poses[b, i]

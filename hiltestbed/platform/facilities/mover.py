@@ -48,7 +48,9 @@ class Runs(NamedTuple):
 
 
 class PortMotion(NamedTuple):
-    """Poses (n, 7) and twists (n, 6) of A and P in W, and those of A relative to P, in P."""
+    """Poses (n, 7) and twists (n, 6) of A and P in W, and those of A relative to P, in P, which are
+    the same arrays as those of A in W if P is W.
+    """
 
     place_A: Array
     motion_A: Array
@@ -85,9 +87,10 @@ class Mover:
     def __init__(self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs) -> None:
         n, joints = len(runs.settings), len(kinematics.axes)
         self.model, self.kinematics, self.runs = model, kinematics, runs
-        self.sides = PortMotion(
-            *(x for _ in range(3) for x in (np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))))
-        )
+        moved = [(np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))) for _ in range(3)]
+        if len(kinematics.tools) == 1:
+            moved[2] = moved[0]
+        self.sides = PortMotion(*(x for side in moved for x in side))
         self.place_A, self.motion_A, self.place_P, self.motion_P, self.pose, self.twist = self.sides
         self.joints, self.joint_rates, self.reference = (np.zeros((n, joints)) for _ in range(3))
         self.missed = np.zeros(n)
@@ -157,16 +160,14 @@ def has_diverged(qpos, qvel, limit):
 @njit(cache=True)
 def _read_ports(tree, w, q, v, sides, i):
     """Write the sides of run ``i`` at joints ``q`` with rates ``v``; with one tool P is W."""
+    place_A, motion_A = sides.place_A[i], sides.motion_A[i]
     place(tree, q, w)
     move(tree, v, w)
-    tool_pose(tree, w, 0, sides.place_A[i])
-    tool_twist(tree, w, 0, sides.motion_A[i])
+    tool_pose(tree, w, 0, place_A)
+    tool_twist(tree, w, 0, motion_A)
     if tree.tools.shape[0] == 1:
-        sides.pose[i] = sides.place_A[i]
-        sides.twist[i] = sides.motion_A[i]
         return
-    tool_pose(tree, w, 1, sides.place_P[i])
-    tool_twist(tree, w, 1, sides.motion_P[i])
-    place_A, motion_A = sides.place_A[i], sides.motion_A[i]
     place_P, motion_P, v = sides.place_P[i], sides.motion_P[i], np.empty((1, 3))
+    tool_pose(tree, w, 1, place_P)
+    tool_twist(tree, w, 1, motion_P)
     relate_one(place_A, motion_A, place_P, motion_P, sides.pose[i], sides.twist[i], v)

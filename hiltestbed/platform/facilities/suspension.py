@@ -29,9 +29,9 @@ from hiltestbed.config.models import load
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.bodies import SIDES, Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT
+from hiltestbed.platform.facilities.inverse_dynamics import GRAVITY
 from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.friction import drag
-from hiltestbed.platform.payload import GRAVITY
 from hiltestbed.platform.shipped.halls import SuspensionSettings
 
 PRESLIDING = 2.0e5  # [N/m] stiffness of a winch before break-away
