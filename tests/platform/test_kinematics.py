@@ -11,7 +11,6 @@ import pytest
 from hiltestbed.config.models import load
 from hiltestbed.errors import InputError
 from hiltestbed.platform.facilities.facility import MOUNT, MOUNT_HOME, compiled
-from hiltestbed.platform.facilities.inverse_dynamics import joint_forces
 from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.facilities.limbs import (
     LimbKinematics,
@@ -20,7 +19,6 @@ from hiltestbed.platform.facilities.limbs import (
     moved_masses,
     slider,
 )
-from hiltestbed.platform.facilities.motion import place, scratch
 from hiltestbed.platform.facilities.prs3 import upper_kinematics
 from hiltestbed.platform.facilities.pss33 import shipped_limbs
 from hiltestbed.platform.model import upper_model
@@ -91,30 +89,33 @@ def upper_platform() -> tuple[mujoco.MjModel, LimbKinematics]:
 
 
 @pytest.mark.parametrize("make", [bare_platform, upper_platform])
-def test_the_drives_forces_in_closed_form_are_those_of_the_tree(make) -> None:
+def test_the_drives_forces_in_closed_form_are_those_of_the_whole_model(make) -> None:
     """From rest, with links that are uniform rods: the work of the drives in each motion that the
-    loops allow is that of all joint forces of the tree.
+    loops allow is that of all joint forces, by MuJoCo's own mass matrix and weight.
     """
     model, kinematics = make()
-    count, tree = len(kinematics.limbs), kinematics.tree
+    count = len(kinematics.limbs)
     for j in range(count):
-        mass, end = tree.masses[model.body(f"link_{j}").id], model.site(f"link_end_{j}").pos
-        inertia = mass[0] / 12.0 * (end @ end * np.eye(3) - np.outer(end, end))
-        mass[1:4], mass[4:13] = 0.5 * end, inertia.ravel()
-    tool, rng = kinematics.tools[0], np.random.default_rng(8)
+        link, end = model.body(f"link_{j}"), model.site(f"link_end_{j}").pos
+        across = link.mass[0] * (end @ end) / 12.0
+        link.ipos[:], link.inertia[:] = 0.5 * end, [across, across, 0.0]
+        mujoco.mju_quatZ2Vec(link.iquat, end)
+    data, rng = mujoco.MjData(model), np.random.default_rng(8)
     q = kinematics.home.copy()
     q[kinematics.q] += rng.uniform(-0.02, 0.02, count)
-    q = kinematics.closed(q)
-    pose, accel = kinematics.poses(q)[0], rng.normal(size=count)
+    data.qpos[:] = q = kinematics.closed(q)
+    mass = np.empty((model.nv, model.nv))
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, mass)
     every = np.array([kinematics.following(q, unit) for unit in np.eye(count)])
     ways = np.array([kinematics.twists(q, rates)[0] for rates in every]).T.copy()
-    forces, w = np.empty(model.nv), scratch(tree)
-    place(tree, q, w)
-    joint_forces(tree, np.zeros(model.nv), accel @ every, model.opt.gravity.copy(), w, forces)
-    found, moving = np.empty(count), (pose, np.zeros(3), ways @ accel)
-    masses, work = moved_masses(model, tool), np.empty((8, 3))
-    limb_forces(kinematics.limbs, masses, ways, moving, accel, work, found)
-    np.testing.assert_allclose(found, every @ forces, rtol=1e-9)
+    accel, found, work = rng.normal(size=count), np.empty(count), np.empty((8, 3))
+    bend = ways @ accel - [*model.opt.gravity, 0.0, 0.0, 0.0]
+    moving = kinematics.poses(q)[0], np.zeros(3), bend
+    moved = moved_masses(model, kinematics.tools[0])
+    limb_forces(kinematics.limbs, moved, ways, moving, accel, work, found)
+    expected = every @ (mass @ (accel @ every) + data.qfrc_bias)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

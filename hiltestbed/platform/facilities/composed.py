@@ -21,12 +21,13 @@ from hiltestbed.contact.composition import (
     weigh_contact,
 )
 from hiltestbed.contact.mount import CARRIER
-from hiltestbed.frames import Array, cross, rotate_back
+from hiltestbed.frames import Array, rotate_back
 from hiltestbed.platform.facilities.bodies import PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, NOMINAL, TOOL_HOME, Facility, set_steps
-from hiltestbed.platform.facilities.inverse_dynamics import load_of
+from hiltestbed.platform.facilities.inverse_dynamics import carry, load_of
 
 TOOL = ACTIVE + "A"  # the site that follows the command
+SENSOR_AXES = np.array([0.0, 0.0, 0.0, 1.0])  # of the load, in which it is known
 ROUNDING = 1e-9  # [N], [N m] rounding error of a difference of loads of up to 1e4
 # Inputs of the load compensation of a moving sensor: a - g, angular rate and angular acceleration
 # of P.
@@ -100,10 +101,8 @@ class CarriedLoad:
     """Load compensation of a sensor that moves with the passive side: weight and inertia of a rigid
     load.
 
-    The load is computed from an accelerometer and gyroscopes at the sensor, with its mass m, centre
-    r and inertia I known:
-
-        f = m (a - g + alpha x r + omega x (omega x r)),   t = I alpha + omega x I omega + r x f
+    The load's wrench (:func:`hiltestbed.platform.facilities.inverse_dynamics.carry`) is computed
+    from an accelerometer and gyroscopes at the sensor.
     """
 
     def __init__(self, model: mujoco.MjModel, home: Array) -> None:
@@ -143,27 +142,14 @@ def _under(model: mujoco.MjModel, body: int, top: int) -> bool:
 
 @njit(cache=True)
 def _read_carried(force, columns, load, data, place, runs, wrench_sub, sub):
-    alpha, ring, v, f = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    accel, work, carried = np.empty(6), np.empty((6, 3)), np.empty(6)
     for i in runs:
+        accel[:3] = data[i, columns[0] : columns[0] + 3]
         # MuJoCo gives it in W
-        rotate_back(place[i, 3:7], data[i, columns[2] : columns[2] + 3], alpha)
-        w, r = data[i, columns[1] : columns[1] + 3], load[1:4]
-        cross(w, r, v)
-        cross(w, v, ring)
-        cross(alpha, r, v)
-        for j in range(3):
-            f[j] = load[0] * (data[i, columns[0] + j] + v[j] + ring[j])
-        for j in range(3):
-            v[j] = load[4 + 3 * j] * w[0] + load[5 + 3 * j] * w[1] + load[6 + 3 * j] * w[2]
-        cross(w, v, ring)
-        cross(r, f, v)
-        for j in range(3):
-            turn = (
-                load[4 + 3 * j] * alpha[0] + load[5 + 3 * j] * alpha[1] + load[6 + 3 * j] * alpha[2]
-            )
-            wrench_sub[i, sub, j] = f[j] - data[i, force + j]
-            wrench_sub[i, sub, 3 + j] = turn + ring[j] + v[j] - data[i, force + 3 + j]
-        # exact zero for equal loads, since a force of zero means that there is no contact
+        rotate_back(place[i, 3:7], data[i, columns[2] : columns[2] + 3], accel[3:6])
+        carry(load, SENSOR_AXES, data[i, columns[1] : columns[1] + 3], accel, work, carried)
         for j in range(6):
+            wrench_sub[i, sub, j] = carried[j] - data[i, force + j]
+            # exact zero for equal loads, since a force of zero means that there is no contact
             if abs(wrench_sub[i, sub, j]) < ROUNDING:
                 wrench_sub[i, sub, j] = 0.0

@@ -114,11 +114,11 @@ def limb_forces(limbs, moved, ways, motion, accel, work, force):
     Args:
         moved: (16,) as in :func:`moved_masses`. ways: (6, J) twist of the tool in W per unit rate
             of each slider; by virtual work its transpose maps wrenches to slider forces. motion:
-            pose (7,), angular velocity (3,) and acceleration (6,) of the tool in W. work: (>= 8,
-            3), overwritten.
+            pose (7,), angular velocity (3,) and acceleration (6,), less gravity's, of the tool in
+            W. work: (>= 8, 3), overwritten.
     """
     pose, spin, a = motion
-    link, carried = moved[13], moved[14] + moved[15]
+    link, carriage, armature = moved[13], moved[14], moved[15]
     wrench, r, f, turn = work[6:8].reshape(6), work[2], work[3], work[4]
     carry(moved, pose[3:7], spin, a, work, wrench)
     for j in range(limbs.shape[0]):
@@ -129,15 +129,14 @@ def limb_forces(limbs, moved, ways, motion, accel, work, force):
         for i in range(3):
             f[i] += a[i]
             along += limb[3 + i] * f[i]
-        for i in range(3):
             f[i] = link * (f[i] / 3.0 + limb[3 + i] * accel[j] / 6.0)
-        f[2] += 0.5 * link * GRAVITY
+        f[2] += link / 6.0 * GRAVITY
+        own = accel[j] + limb[5] * GRAVITY
         cross(r, f, turn)
         for i in range(3):
             wrench[i] += f[i]
             wrench[3 + i] += turn[i]
-        force[j] = link * (along / 6.0 + accel[j] / 3.0) + carried * accel[j]
-        force[j] += limb[5] * (0.5 * link + moved[14]) * GRAVITY
+        force[j] = link * (along / 6.0 + own / 3.0) + carriage * own + armature * accel[j]
     for j in range(limbs.shape[0]):
         for i in range(6):
             force[j] += ways[i, j] * wrench[i]

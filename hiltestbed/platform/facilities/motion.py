@@ -22,8 +22,7 @@ class Scratch(NamedTuple):
 
     Attributes:
         poses: (nb, 7) of the bodies in W. axes: (nj, 6) anchor and axis of each joint in W.
-        motion: (nb, 12) velocity, angular velocity, acceleration and angular acceleration of a
-            body, at its origin, in W.
+        motion: (nb, 6) velocity and angular velocity of a body, at its origin, in W.
         loads: (nb, 6) force and moment about W's origin.
         rows: (r, nv). square: (u, u). right, first, filled: (u,). residual, goal: (r,). step:
             (nv,). spare: (SPARE,).
@@ -52,7 +51,7 @@ def scratch(tree: JointTree) -> Scratch:
     return Scratch(
         poses=np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (nb, 1)),
         axes=np.zeros((len(tree.joints), 6)),
-        motion=np.zeros((nb, 12)),
+        motion=np.zeros((nb, 6)),
         loads=np.zeros((nb, 6)),
         rows=np.zeros((r, nv)),
         square=np.zeros((u, u)),

@@ -23,6 +23,7 @@ from hiltestbed.platform.facilities.facility import (
     frame_of,
 )
 from hiltestbed.platform.facilities.force_servo import ForceServo
+from hiltestbed.platform.facilities.inverse_dynamics import GRAVITY
 from hiltestbed.platform.facilities.kinematics import Axis
 from hiltestbed.platform.facilities.limbs import (
     LimbKinematics,
@@ -76,6 +77,7 @@ def _aim(limbs, moved, share, targets, cycles, plan):
                 accel[c], bend[c] = plan.steps[i, s, 2, c], 0.0
                 for j in range(6):
                     bend[c] += ways[c, j] * plan.steps[i, s, 2, j]
+            bend[2] += GRAVITY
             force = plan.steps[i, s, 2]
             limb_forces(limbs, moved, ways, (pose, still, bend), accel, work, force)
             for j in range(6):

@@ -23,7 +23,7 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array, rotate_back, twist_between
 from hiltestbed.platform import model
-from hiltestbed.platform.facilities.inverse_dynamics import carry, load_of
+from hiltestbed.platform.facilities.inverse_dynamics import GRAVITY, carry, load_of
 from hiltestbed.platform.facilities.limbs import invert, jacobian, limb_forces, slider
 from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.facilities.prs3 import Upper, motion, place, upper_kinematics
@@ -78,6 +78,7 @@ def _aim(upper, masses, payload, dt, port, plan, away, xs):
                 twist_between(pose[i], goal, dt, rate)
                 for c in range(6):
                     accel[c] = (rate[c] - twist[i, c]) / dt
+                accel[2] += GRAVITY
                 for j in range(3):
                     now[j] = slider(upper.limbs[j], goal, arm)
                     speed[j] = (now[j] - target[i, j]) / dt
