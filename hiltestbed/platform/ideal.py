@@ -23,7 +23,7 @@ from hiltestbed.frames import Array, pose_step, rotate_back, twist_between
 from hiltestbed.platform import model
 from hiltestbed.platform.build import facility_of
 from hiltestbed.platform.driven import runs_of
-from hiltestbed.platform.facilities.composed import TOOL, facility_model
+from hiltestbed.platform.facilities.composed import TOOL, facility_model, sensor_columns
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.response import ResponsePath
 from hiltestbed.platform.response import PlatformResponse
@@ -126,7 +126,7 @@ class IdealTracking:
         self._joints = joints
         bind = self.batch.bind
         self._qpos, self._qvel, self._warmstart = bind("qpos"), bind("qvel"), bind("qacc_warmstart")
-        self._reading = bind("sensordata")[:, model.sensor_columns(self.model)]
+        self._reading = bind("sensordata")[:, sensor_columns(self.model)]
         free = self.model.joint("A_joint")
         self._joint = np.array([free.qposadr[0], free.dofadr[0]])
         self._push = (

@@ -21,7 +21,7 @@ from hiltestbed.platform.facilities.limbs import (
 )
 from hiltestbed.platform.facilities.prs3 import upper_kinematics
 from hiltestbed.platform.facilities.pss33 import shipped_limbs
-from hiltestbed.platform.model import upper_model
+from hiltestbed.platform.facilities.upper_drives import upper_model
 from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.shipped.pss33 import Pss33
 from tests.platform.halls import facility, poses

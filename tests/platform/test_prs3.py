@@ -16,7 +16,7 @@ from hiltestbed.platform.facilities.prs3 import (
     place,
     upper_kinematics,
 )
-from hiltestbed.platform.model import upper_model
+from hiltestbed.platform.facilities.upper_drives import upper_model
 from tests.platform.rigs import scenario
 
 UPPER = Upper.load()

@@ -38,6 +38,12 @@ LOAD_SENSORS = (
 )
 
 
+def sensor_columns(model: mujoco.MjModel) -> slice:
+    """Columns of force and torque in MuJoCo's sensor data."""
+    first = int(model.sensor("force").adr[0])
+    return slice(first, first + 6)
+
+
 def facility_spec(facility: Facility, structure: Structure, timestep: float) -> mujoco.MjSpec:
     """The facility with both sides, loops as stiff as possible; if the passive side moves, with
     sensors for its load compensation.

@@ -30,8 +30,8 @@ from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.drives import Drives, mass_matrix
+from hiltestbed.platform.facilities.facility import Runs
 from hiltestbed.platform.facilities.kinematics import Kinematics
-from hiltestbed.platform.facilities.mover import Runs
 
 
 class ServoLoop(NamedTuple):

@@ -19,8 +19,8 @@ from hiltestbed.platform.facilities.facility import (
     MOUNT_HOME,
     UPRIGHT,
     Facility,
-    add_carrier,
-    frame_of,
+    Runs,
+    standing,
 )
 from hiltestbed.platform.facilities.force_servo import ForceServo
 from hiltestbed.platform.facilities.inverse_dynamics import GRAVITY
@@ -33,7 +33,6 @@ from hiltestbed.platform.facilities.limbs import (
     limbs_of,
     moved_masses,
 )
-from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.facilities.reference import LEAVE, plan_tick, sample
 from hiltestbed.platform.shipped.pss33 import Pss33
 
@@ -126,11 +125,7 @@ class Pss33Facility(Facility):
         )
 
     def spec(self) -> mujoco.MjSpec:
-        spec = load("pss33/pss33")
-        frame_of(spec)
-        add_carrier(spec.worldbody)
-        spec.option.gravity = [0.0, 0.0, -9.81]
-        return spec
+        return standing("pss33/pss33")
 
     def kinematics(self, model: mujoco.MjModel, tool: str = MOUNT) -> LimbKinematics:
         origin = MOUNT_HOME[:3] if tool == MOUNT else UPRIGHT[:3]

@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
+from hiltestbed.config.models import load
+from hiltestbed.contact.composition import add_passive, drawn
 from hiltestbed.contact.mount import CARRIER
+from hiltestbed.contact.settings import Mechanism
 from hiltestbed.frames import Array, rotate_back, twist_between
-from hiltestbed.platform import model
+from hiltestbed.platform.facilities.facility import Runs, compiled
 from hiltestbed.platform.facilities.inverse_dynamics import GRAVITY, carry, load_of
 from hiltestbed.platform.facilities.limbs import invert, jacobian, limb_forces, slider
-from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.facilities.prs3 import Upper, motion, place, upper_kinematics
 from hiltestbed.platform.facilities.pss33 import SliderDrives
 from hiltestbed.platform.shipped.pss33 import Pss33
@@ -39,6 +41,24 @@ MOVED_PER_DRIVE = 240.0  # [kg] a third of platform, payload and links, carriage
 # [Hz] of the position loop, critically damped: longer limbs than the lower platform's
 BANDWIDTH = 25.0
 SPEED_LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
+
+
+def add_upper_passive(spec: mujoco.MjSpec, mechanism: Mechanism, prefix: str = "") -> None:
+    """Add force sensor and passive mechanism to the upper platform in ``spec``; ``prefix`` of its
+    names.
+    """
+    place = spec.site(f"{prefix}mount").pos
+    carrier = spec.body(f"{prefix}platform").add_body(name=CARRIER, pos=place)
+    add_passive(spec, drawn(mechanism), carrier)
+
+
+def upper_model(mechanism: Mechanism, timestep: float) -> mujoco.MjModel:
+    """The upper platform alone, with force sensor and passive mechanism."""
+    spec = load("prs3/prs3")
+    spec.modelname = f"prs3-{mechanism.kind}"
+    spec.option.cone, spec.option.gravity = mujoco.mjtCone.mjCONE_ELLIPTIC, [0.0, 0.0, -9.81]
+    add_upper_passive(spec, mechanism)
+    return compiled(spec, timestep)
 
 
 class PlannedPort(NamedTuple):
@@ -124,7 +144,7 @@ class UpperDrives(SliderDrives):
 
     def __init__(self, scenarios: Sequence[Scenario], nthread: int) -> None:
         first, n = scenarios[0], len(scenarios)
-        m = model.upper_model(first.mechanism, first.tick / first.substeps)
+        m = upper_model(first.mechanism, first.tick / first.substeps)
         settings = Pss33.model_validate({"kind": "pss33", "bandwidth": BANDWIDTH})
         runs = Runs(first.tick, first.substeps, [settings] * n, np.ones(n, dtype=bool))
         super().__init__(m, upper_kinematics(m), runs, MOVED_PER_DRIVE)

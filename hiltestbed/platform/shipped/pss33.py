@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from hiltestbed.config.validation import NotNegative, Positive, Problem, Strictly, refuse
-from hiltestbed.platform.facilities.settings import CommandPath, Driven
+from hiltestbed.platform.kinds import CommandPath, Driven
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
