@@ -26,8 +26,8 @@ from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.contact.wrench import relate
 from hiltestbed.frames import Array, pose_compose, pose_step, twist_between
 from hiltestbed.platform.driven import ServoTracking
-from hiltestbed.platform.facilities.inverse_dynamics import GRAVITY
 from hiltestbed.platform.facilities.limbs import slider
+from hiltestbed.platform.facilities.motion import GRAVITY
 from hiltestbed.platform.facilities.prs3 import Upper, place, share
 from hiltestbed.platform.facilities.upper_drives import UpperDrives
 from hiltestbed.platform.ideal import IdealTracking

@@ -18,7 +18,7 @@ from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.bodies import Article
 from hiltestbed.platform.facilities.facility import Runs, compiled
 from hiltestbed.platform.facilities.halls import HOOK
-from hiltestbed.platform.facilities.inverse_dynamics import GRAVITY
+from hiltestbed.platform.facilities.motion import GRAVITY
 from tests.platform.halls import facility
 
 STEP = 2.5e-4

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from hiltestbed.compiled.state import arrays_of
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.inverse_dynamics import GRAVITY
+from hiltestbed.platform.facilities.motion import GRAVITY
 from hiltestbed.platform.facilities.prs3 import BLEND, DOCKING
 from hiltestbed.platform.nine_axes import NineAxes
 from hiltestbed.platform.plant import Plant

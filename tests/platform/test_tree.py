@@ -9,9 +9,15 @@ import pytest
 from hiltestbed.config.models import load
 from hiltestbed.errors import InputError
 from hiltestbed.platform.facilities.facility import compiled
-from hiltestbed.platform.facilities.inverse_dynamics import weights
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.motion import move, place, scratch, tool_pose, tool_twist
+from hiltestbed.platform.facilities.motion import (
+    move,
+    place,
+    scratch,
+    tool_pose,
+    tool_twist,
+    weights,
+)
 from hiltestbed.platform.facilities.tree import build_tree
 from tests.platform.halls import apart, arms, mujoco_pose
 

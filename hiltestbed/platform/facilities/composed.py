@@ -24,7 +24,7 @@ from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array, rotate_back
 from hiltestbed.platform.facilities.bodies import PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, NOMINAL, TOOL_HOME, Facility, set_steps
-from hiltestbed.platform.facilities.inverse_dynamics import carry, load_of
+from hiltestbed.platform.facilities.motion import carry, load_of
 
 TOOL = ACTIVE + "A"  # the site that follows the command
 SENSOR_AXES = np.array([0.0, 0.0, 0.0, 1.0])  # of the load, in which it is known
@@ -107,7 +107,7 @@ class CarriedLoad:
     """Load compensation of a sensor that moves with the passive side: weight and inertia of a rigid
     load.
 
-    The load's wrench (:func:`hiltestbed.platform.facilities.inverse_dynamics.carry`) is computed
+    The load's wrench (:func:`hiltestbed.platform.facilities.motion.carry`) is computed
     from an accelerometer and gyroscopes at the sensor.
     """
 

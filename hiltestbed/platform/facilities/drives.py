@@ -24,9 +24,8 @@ from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.platform.facilities.facility import UPRIGHT, Mover, Runs
-from hiltestbed.platform.facilities.inverse_dynamics import drive_forces, weights
 from hiltestbed.platform.facilities.kinematics import Kinematics
-from hiltestbed.platform.facilities.motion import scratch
+from hiltestbed.platform.facilities.motion import drive_forces, scratch, weights
 from hiltestbed.platform.facilities.newton import newton, rates, shift, ways
 from hiltestbed.platform.facilities.reference import Cycles, TickPlan, plan_tick, sample
 from hiltestbed.platform.friction import DriveFriction

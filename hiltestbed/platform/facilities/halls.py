@@ -40,8 +40,8 @@ from hiltestbed.config.models import load
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.bodies import SIDES, Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, Runs
-from hiltestbed.platform.facilities.inverse_dynamics import GRAVITY
 from hiltestbed.platform.facilities.kinematics import Kinematics
+from hiltestbed.platform.facilities.motion import GRAVITY
 from hiltestbed.platform.friction import drag
 from hiltestbed.platform.shipped.halls import AirBearingSettings, SuspensionSettings
 

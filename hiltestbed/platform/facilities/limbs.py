@@ -26,8 +26,8 @@ import numpy as np
 
 from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.frames import Array, cross, rotate, rotation_matrix
-from hiltestbed.platform.facilities.inverse_dynamics import GRAVITY, carry, load_of
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics, pose_in_words
+from hiltestbed.platform.facilities.motion import GRAVITY, carry, load_of
 
 # smallest cosine between link and slider in the rates: keeps them finite for a link that does not
 # reach

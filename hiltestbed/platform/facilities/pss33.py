@@ -23,7 +23,6 @@ from hiltestbed.platform.facilities.facility import (
     standing,
 )
 from hiltestbed.platform.facilities.force_servo import ForceServo
-from hiltestbed.platform.facilities.inverse_dynamics import GRAVITY
 from hiltestbed.platform.facilities.kinematics import Axis
 from hiltestbed.platform.facilities.limbs import (
     LimbKinematics,
@@ -33,6 +32,7 @@ from hiltestbed.platform.facilities.limbs import (
     limbs_of,
     moved_masses,
 )
+from hiltestbed.platform.facilities.motion import GRAVITY
 from hiltestbed.platform.facilities.reference import LEAVE, plan_tick, sample
 from hiltestbed.platform.shipped.pss33 import Pss33
 

@@ -3,7 +3,7 @@
 Only runs whose upper platform is not clamped at home are stepped. Its drives are those of the lower
 platform (:mod:`hiltestbed.platform.facilities.pss33`), but their references follow the planned
 coordinates from step to step. The payload's weight and inertia in the planned motion
-(:func:`hiltestbed.platform.facilities.inverse_dynamics.carry`) are subtracted from the sensor's
+(:func:`hiltestbed.platform.facilities.motion.carry`) are subtracted from the sensor's
 reading; the residual is due to the difference between planned and actual acceleration. The passive
 mechanism moves with the platform as one rigid body: a compliant mount is assumed locked until the
 upper platform is clamped.
@@ -26,8 +26,8 @@ from hiltestbed.contact.mount import CARRIER
 from hiltestbed.contact.settings import Mechanism
 from hiltestbed.frames import Array, rotate_back, twist_between
 from hiltestbed.platform.facilities.facility import Runs, compiled
-from hiltestbed.platform.facilities.inverse_dynamics import GRAVITY, carry, load_of
 from hiltestbed.platform.facilities.limbs import invert, jacobian, limb_forces, slider
+from hiltestbed.platform.facilities.motion import GRAVITY, carry, load_of
 from hiltestbed.platform.facilities.prs3 import Upper, motion, place, upper_kinematics
 from hiltestbed.platform.facilities.pss33 import SliderDrives
 from hiltestbed.platform.shipped.pss33 import Pss33
@@ -136,7 +136,7 @@ class UpperDrives(SliderDrives):
 
     Attributes:
         payload: (13,) load on the sensor
-            (:func:`hiltestbed.platform.facilities.inverse_dynamics.load_of`).
+            (:func:`hiltestbed.platform.facilities.motion.load_of`).
         residual: (n, m, 6) residual of the payload in the reading, at the m instants of the tick,
             in P at P's origin [N, N m].
         left: (n, 2) its largest force [N] and torque [N m] so far.
