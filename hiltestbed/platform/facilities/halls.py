@@ -42,7 +42,7 @@ from hiltestbed.platform.facilities.bodies import SIDES, Bodies, PhysicalFacilit
 from hiltestbed.platform.facilities.facility import MOUNT, Runs
 from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.facilities.motion import GRAVITY
-from hiltestbed.platform.friction import drag
+from hiltestbed.platform.friction import DriveFriction
 from hiltestbed.platform.shipped.halls import AirBearingSettings, SuspensionSettings
 
 CREEP = 1e-4  # [m/s] v_0, speed below which the pads' friction fades
@@ -119,20 +119,16 @@ class Winches(NamedTuple):
 
     Attributes:
         numbers: (n, 3) swing damping, low-pass coefficient per step of the tension servo, tension
-            error. rub: (n, 7) friction. dt: [s]. hung: (b,) suspended mass [kg]. dofs: (b,) of the
-            winches. swings: (b, 2) of the cables' pivots.
-        tension: (n, b) of each cable [N]. bristles: (n, b, 1) deflection of its winch's bristle
-            [m].
+            error. hung: (b,) suspended mass [kg]. dofs: (b,) of the winches. swings: (b, 2) of the
+            cables' pivots.
+        tension: (n, b) of each cable [N].
     """
 
     numbers: Array
-    rub: Array
-    dt: float
     hung: Array
     dofs: NDArray[np.int64]
     swings: NDArray[np.int64]
     tension: Array
-    bristles: Array
 
 
 @njit(cache=True)
@@ -143,8 +139,7 @@ def _push(winches, qvel, applied):
         for b in range(dofs.shape[0]):
             goal = winches.hung[b] * GRAVITY * (1.0 + error)
             tension[i, b] += share * (goal - tension[i, b])
-            rub = drag(qvel[i, dofs[b]], winches.dt, winches.rub[i], winches.bristles[i, b], 0)
-            applied[i, dofs[b]] = -tension[i, b] - rub
+            applied[i, dofs[b]] = -tension[i, b]
             for c in range(2):
                 applied[i, swings[b, c]] = -damping * qvel[i, swings[b, c]]
 
@@ -157,24 +152,24 @@ class Hung(Bodies):
         model, runs, step = self.model, self.runs, self.runs.step
         moving = [side for side in SIDES if model.body(side).jntnum[0]]
         share = 1.0 - np.exp(-2.0 * math.pi * runs.numbers("tension_bandwidth") * step)
-        slides = runs.numbers("winch_friction")
-        bristle = min(PRESLIDING, 0.25 * HOOK / step**2)
-        rest = [STRIBECK_SPEED, 0.0, 0.0, bristle, 2.0 * math.sqrt(bristle * HOOK)]
-        n, b = len(slides), len(moving)
         return Winches(
             numbers=np.column_stack(
                 [runs.numbers("swing_damping"), share, runs.numbers("tension_error")]
             ),
-            rub=np.column_stack([slides, BREAKAWAY * slides, np.tile(rest, (n, 1))]),
-            dt=step,
             hung=np.array([float(model.body(f"{side}_hook").subtreemass[0]) for side in moving]),
             dofs=np.array([int(model.joint(f"{side}_winch").dofadr[0]) for side in moving]),
             swings=np.array(
                 [[int(model.joint(f"{side}_swing_{c}").dofadr[0]) for c in "xz"] for side in moving]
             ),
-            tension=np.zeros((n, b)),
-            bristles=np.zeros((n, b, 1)),
+            tension=np.zeros((len(share), len(moving))),
         )
+
+    @cached_property
+    def _friction(self) -> DriveFriction:
+        dofs, slides = self._winches.dofs, self.runs.numbers("winch_friction")
+        law = [[s, BREAKAWAY * s, STRIBECK_SPEED, 0.0, 0.0] for s in slides]
+        laws = np.repeat(np.array(law)[:, None], len(dofs), axis=1)
+        return DriveFriction(laws, PRESLIDING, HOOK, dofs, dofs, self.runs.step)
 
     @cached_property
     def _pushed(self) -> Call:
@@ -183,10 +178,11 @@ class Hung(Bodies):
     def rest(self, qpos: Array, qvel: Array) -> None:
         winches = self._winches
         winches.tension[:] = winches.hung * GRAVITY * (1.0 + winches.numbers[:, 2:3])
-        winches.bristles[:] = 0.0
+        self._friction.bristles[:] = 0.0
 
     def push(self, sub: int, qpos: Array, qvel: Array, inputs: Array) -> None:
         self._pushed.on(qvel, inputs)()
+        self._friction.act(qvel, inputs)
 
 
 class Suspension(PhysicalFacility):
