@@ -113,15 +113,7 @@ class CarriedLoad:
 
     def __init__(self, model: mujoco.MjModel, home: Array) -> None:
         """``home`` (nq,): joint positions at which P is at W's origin with W's attitude."""
-        data = mujoco.MjData(model)
-        data.qpos[:] = home
-        mujoco.mj_forward(model, data)
-        carrier = model.body(CARRIER).id
-        bodies = [
-            b for b in range(model.nbody) if _under(model, b, carrier) and model.body_mass[b] > 0.0
-        ]
-        origin = np.array(data.site(NOMINAL).xpos)
-        self.load = load_of(model, data, bodies, origin) if bodies else np.zeros(13)
+        self.load = carried_load(model, home)
         force = int(model.sensor("force").adr[0])
         columns = np.array([int(model.sensor(name).adr[0]) for name, _ in LOAD_SENSORS])
         self._read = Call(_read_carried, force, columns, self.load, GIVEN, GIVEN, GIVEN, GIVEN, ...)
@@ -138,12 +130,18 @@ class CarriedLoad:
         self._read.on(sensordata, attitude, runs, wrench_sub)(sub)
 
 
-def _under(model: mujoco.MjModel, body: int, top: int) -> bool:
-    while body > 0:
-        if body == top:
-            return True
-        body = int(model.body_parentid[body])
-    return False
+def carried_load(model: mujoco.MjModel, home: Array) -> Array:
+    """``(13,)`` of what the sensor carries, about P, with the joints at ``home`` (nq,), as
+    :func:`hiltestbed.platform.facilities.motion.load_of`; zeros without mass.
+    """
+    data, carried = mujoco.MjData(model), {model.body(CARRIER).id}
+    data.qpos[:] = home
+    mujoco.mj_forward(model, data)
+    for b, parent in enumerate(model.body_parentid):  # a parent comes before its children
+        if int(parent) in carried:
+            carried.add(b)
+    bodies = [b for b in sorted(carried) if model.body_mass[b] > 0.0]
+    return load_of(model, data, bodies, data.site(NOMINAL).xpos) if bodies else np.zeros(13)
 
 
 @njit(cache=True)

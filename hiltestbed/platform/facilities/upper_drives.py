@@ -25,9 +25,10 @@ from hiltestbed.contact.composition import add_passive, drawn
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.contact.settings import Mechanism
 from hiltestbed.frames import Array, rotate_back, twist_between
+from hiltestbed.platform.facilities.composed import carried_load
 from hiltestbed.platform.facilities.facility import Runs, compiled
 from hiltestbed.platform.facilities.limbs import invert, jacobian, limb_forces, slider
-from hiltestbed.platform.facilities.motion import GRAVITY, carry, load_of
+from hiltestbed.platform.facilities.motion import GRAVITY, carry
 from hiltestbed.platform.facilities.prs3 import Upper, motion, place, upper_kinematics
 from hiltestbed.platform.facilities.pss33 import SliderDrives
 from hiltestbed.platform.shipped.pss33 import Pss33
@@ -149,11 +150,7 @@ class UpperDrives(SliderDrives):
         runs = Runs(first.tick, first.substeps, [settings] * n, np.ones(n, dtype=bool))
         super().__init__(m, upper_kinematics(m), runs, MOVED_PER_DRIVE)
         self.batch, self.upper = Batch(m, n, nthread), Upper.load()
-        data = mujoco.MjData(m)
-        mujoco.mj_forward(m, data)
-        platform, carrier = m.body("platform").id, m.body(CARRIER).id
-        carried = [b for b in range(carrier, m.nbody) if m.body_rootid[b] == platform]
-        self.payload = load_of(m, data, carried, data.site(self.kinematics.tools[0]).xpos)
+        self.payload = carried_load(m, m.qpos0)
         bind, steps = self.batch.bind, first.substeps
         self._qpos, self._qvel, self._ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self._warmstart, self._reading = bind("qacc_warmstart"), bind("sensordata")
