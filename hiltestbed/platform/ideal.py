@@ -20,10 +20,15 @@ from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array, pose_step, rotate_back, twist_between
-from hiltestbed.platform import model
 from hiltestbed.platform.build import facility_of
 from hiltestbed.platform.driven import runs_of
-from hiltestbed.platform.facilities.composed import TOOL, facility_model, sensor_columns
+from hiltestbed.platform.facilities.composed import (
+    INTEGRATED_MASS,
+    TOOL,
+    facility_model,
+    ideal_model,
+    sensor_columns,
+)
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.response import ResponsePath
 from hiltestbed.platform.response import PlatformResponse
@@ -107,7 +112,7 @@ class IdealTracking:
         first, n = scenarios[0], len(scenarios)
         self.tick, self.substeps = first.tick, first.substeps
         dt = first.tick / first.substeps
-        self.model = model.ideal_model(structure, dt)
+        self.model = ideal_model(structure, dt)
         self.batch = Batch(self.model, n, nthread)
         self.contacts = Contacts(self.batch, scenarios, structure, dt, 0.0, force)
         self.path = PlatformResponse(scenarios)
@@ -247,7 +252,7 @@ class IdealTracking:
 
     def _accelerate(self, s: int, push: Array) -> None:
         """Accelerate A in step ``s`` by ``push`` (n, 6), so that its moving parts react to it."""
-        per_step = model.INTEGRATED_MASS * self.substeps / self.tick
+        per_step = INTEGRATED_MASS * self.substeps / self.tick
         twist = self.twist_act if self._way is None else self._way[1][s - 1]
         _change(self._between, twist, self._qvel, self._joint[1], per_step, push)
 
