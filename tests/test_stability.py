@@ -23,7 +23,7 @@ from hiltestbed.contact.touch import first_touch
 from hiltestbed.errors import InputError
 from hiltestbed.loop import Loop
 from hiltestbed.numerical_model.bodies import effective_mass
-from hiltestbed.platform.pss33.settings import Pss33
+from hiltestbed.platform.shipped.pss33 import Pss33
 from hiltestbed.signals import Trace
 from tests.running import judged, shipped
 

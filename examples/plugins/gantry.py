@@ -12,7 +12,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from hiltestbed.platform.facilities.settings import CommandPath
+from hiltestbed.platform.kinds import CommandPath
 from hiltestbed.platform.shipped.mjcf import MjcfSettings
 from hiltestbed.plugins import register
 

@@ -14,8 +14,7 @@ from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.touch import INSERTION
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.numerical_model.bodies import approach_state, effective_mass, mobility
-from hiltestbed.platform.build import built, demand_of
-from hiltestbed.platform.facilities.demand import Demand
+from hiltestbed.platform.build import Demand, built, demand_of
 from hiltestbed.scenario import Scenario
 from hiltestbed.scenario.limits import LEAST, UNIT, DockingLimits
 

@@ -20,7 +20,7 @@ from hiltestbed.bench.result import BenchResult
 from hiltestbed.bench.throughput import side_by_side
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.platform.build import facility_of
-from hiltestbed.platform.facilities.measure.workspace import workspace
+from hiltestbed.platform.facilities.measure import workspace
 from hiltestbed.platform.kinds import PLATFORMS
 from hiltestbed.report.page import Report, new_figure
 from hiltestbed.scenario import Scenario, load_scenario, resolved, scenario_from

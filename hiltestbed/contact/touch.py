@@ -209,7 +209,7 @@ class _Parts:
 
         from hiltestbed.contact.engagement import Engagement
         from hiltestbed.platform.build import structure
-        from hiltestbed.platform.model import ideal_model
+        from hiltestbed.platform.facilities.composed import ideal_model
 
         self._made_of = replace(structure(scenario), mounted=False, constant=False)
         model = ideal_model(self._made_of, scenario.tick)

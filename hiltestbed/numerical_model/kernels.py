@@ -277,8 +277,11 @@ def mobility(q, port, position, mass, inverse, work, out):
 
 @njit(cache=True)
 def solve(matrix, x, factor):
-    """``x`` (6,) becomes the solution; ``matrix`` (6, 6) positive definite, ``factor`` scratch."""
-    for i in range(6):
+    """``x`` (n,) becomes the solution for the right side that it is; ``matrix`` (n, n) positive
+    definite, its lower half; ``factor`` (n, n): work space, which may be ``matrix``.
+    """
+    n = x.shape[0]
+    for i in range(n):
         for j in range(i + 1):
             s = matrix[i, j]
             for k in range(j):
@@ -288,9 +291,9 @@ def solve(matrix, x, factor):
         for k in range(i):
             s -= factor[i, k] * x[k]
         x[i] = s / factor[i, i]
-    for i in range(5, -1, -1):
+    for i in range(n - 1, -1, -1):
         s = x[i]
-        for k in range(i + 1, 6):
+        for k in range(i + 1, n):
             s -= factor[k, i] * x[k]
         x[i] = s / factor[i, i]
 

@@ -1,5 +1,11 @@
 """The facility that a scenario's settings describe, and what is asked of it before a run: the only
 module that knows both.
+
+What an acceleration of the platform and a load on it take of its drives: joint accelerations a that
+move the tools and keep the loops closed satisfy J a = (tools, 0). The drives' forces f, the loads r
+in locked joints and l in the loops then satisfy M a + weight = S' f + L' r + C' l + T' w (R.
+Featherstone, Rigid Body Dynamics Algorithms, 2008, equation 8.6), S, L, C and T the rows of the
+Jacobian of driven joints, locked joints, loops and tools, w the wrenches on the tools.
 """
 
 from __future__ import annotations
@@ -7,7 +13,10 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import mujoco
+import numpy as np
 
 from hiltestbed.config.validation import Problem
 from hiltestbed.contact.composition import Structure, structure_of
@@ -15,23 +24,22 @@ from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects.table import by_link
 from hiltestbed.errors import InputError
+from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose
-from hiltestbed.platform.facilities.air_bearing import AirBearing
 from hiltestbed.platform.facilities.arms import SerialArm, TwoArms
 from hiltestbed.platform.facilities.bodies import Article, PhysicalFacility
 from hiltestbed.platform.facilities.composed import TOOL, facility_model
-from hiltestbed.platform.facilities.demand import Demand, demand
 from hiltestbed.platform.facilities.facility import Facility
+from hiltestbed.platform.facilities.halls import AirBearing, Suspension
+from hiltestbed.platform.facilities.kinematics import MECHANISMS, Axis, Kinematics
 from hiltestbed.platform.facilities.mjcf import MjcfFacility
-from hiltestbed.platform.facilities.settings import Driven
+from hiltestbed.platform.facilities.pss33 import Pss33Facility
 from hiltestbed.platform.facilities.stewart import Stewart
-from hiltestbed.platform.facilities.suspension import Suspension
-from hiltestbed.platform.kinds import Platform
-from hiltestbed.platform.pss33.drives import Pss33Facility
-from hiltestbed.platform.pss33.settings import Pss33
+from hiltestbed.platform.kinds import Driven, Platform
 from hiltestbed.platform.shipped.arms import SerialArmSettings, TwoArmsSettings
 from hiltestbed.platform.shipped.halls import AirBearingSettings, SuspensionSettings
 from hiltestbed.platform.shipped.mjcf import MjcfSettings
+from hiltestbed.platform.shipped.pss33 import Pss33
 from hiltestbed.platform.shipped.stewart import StewartSettings
 
 if TYPE_CHECKING:
@@ -164,3 +172,68 @@ def problems(scenario: Scenario) -> Iterator[Problem]:
             f"starts at a pose that the platform cannot reach ({complaint}); allowed is a start "
             "within its workspace",
         )
+
+
+class Demand(NamedTuple):
+    """The force of J drives at home [N, N m], linear in what nt tools do, in W.
+
+    Attributes:
+        axes: the drives, with their limits. weight: (J,) at rest. inertia: (J, 6 nt) for a unit
+            acceleration of each tool [m/s^2, rad/s^2]. load: (J, 6 nt) against a unit wrench on
+            each, at its origin [N, N m].
+    """
+
+    axes: tuple[Axis, ...]
+    weight: Array
+    inertia: Array
+    load: Array
+
+    @property
+    def most(self) -> Array:
+        """``(J,)`` the drives' limits [N, N m]."""
+        return np.array([axis.force for axis in self.axes])
+
+    @property
+    def shares(self) -> Array:
+        """``(J, 6)`` share of each drive's force, beyond its weight, that a unit acceleration of
+        the first tool takes [s^2/m, s^2/rad]; 1 is all that the drive has left.
+        """
+        # a drive that cannot hold the weight has nothing left
+        left = np.maximum(self.most - np.abs(self.weight), np.finfo(float).eps * self.most)
+        return self.inertia[:, :6] / left[:, None]
+
+
+def demand(model: mujoco.MjModel, kinematics: Kinematics) -> Demand:
+    """Of the drives of a composed model.
+
+    Springs (the deflection of gears), prescribed joints (a rail) and the joints of the mechanisms
+    are locked.
+    """
+    data = mujoco.MjData(model)
+    data.qpos = kinematics.home
+    jacobian = model.opt.jacobian
+    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    mujoco.mj_forward(model, data)
+    model.opt.jacobian = jacobian
+    tools = np.zeros((len(kinematics.tools), 6, model.nv))
+    for tool, name in zip(tools, kinematics.tools, strict=True):
+        mujoco.mj_jacSite(model, data, tool[:3], tool[3:], model.site(name).id)
+    tools = tools.reshape(-1, model.nv)
+    closed = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    loops = data.efc_J.reshape(-1, model.nv)[closed]
+    names = [model.joint(j).name for j in model.dof_jntid]
+    held = [name in kinematics.prescribed or name.startswith(MECHANISMS) for name in names]
+    locked = np.array(held) | (model.jnt_stiffness[model.dof_jntid] != 0.0)
+    rows = np.eye(model.nv)
+    fixed = np.vstack([rows[locked], loops])
+    rates = np.linalg.pinv(np.vstack([tools, fixed]))[:, : len(tools)]
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    driven = [j for j, v in enumerate(kinematics.v) if not locked[v]]
+    forces = np.linalg.pinv(np.vstack([rows[kinematics.v[driven]], fixed]).T)[: len(driven)]
+    return Demand(
+        axes=tuple(kinematics.axes[j] for j in driven),
+        weight=forces @ (data.qfrc_bias - data.qfrc_gravcomp),
+        inertia=forces @ mass @ rates,
+        load=-forces @ tools.T,
+    )

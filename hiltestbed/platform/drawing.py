@@ -7,21 +7,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.contact.composition import ACTIVE, drawn
+from hiltestbed.config.models import load
+from hiltestbed.contact.composition import ACTIVE, add_active, drawn
 from hiltestbed.frames import Array, pose_compose
 from hiltestbed.platform.build import facility_of
 from hiltestbed.platform.driven import runs_of
 from hiltestbed.platform.facilities.composed import TOOL, facility_model, facility_spec
 from hiltestbed.platform.facilities.drives import Drives
-from hiltestbed.platform.facilities.mover import UPRIGHT
-from hiltestbed.platform.model import UPPER, nine_axis_scene
-from hiltestbed.platform.prs3.allocation import upper_coordinates
-from hiltestbed.platform.prs3.geometry import Upper, place, write_joints
+from hiltestbed.platform.facilities.facility import MOUNT, TOOL_HOME, UPRIGHT
+from hiltestbed.platform.facilities.prs3 import (
+    Upper,
+    place,
+    upper_coordinates,
+    upper_kinematics,
+)
+from hiltestbed.platform.facilities.upper_drives import add_upper_passive
 
 if TYPE_CHECKING:
     from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 STEP = 1e-3  # [s] nothing is stepped
+UPPER = "upper_"  # prefix of the names of the upper platform
 
 
 class DrawnFacility:
@@ -67,8 +73,16 @@ class DrawnNineAxes:
     """Both platforms with their mechanisms; the interface is that of :class:`DrawnFacility`."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self.model = nine_axis_scene(scenario.mechanism)
+        spec = load("pss33/pss33")
+        spec.modelname = f"pss33-prs3-{scenario.mechanism.kind}"
+        spec.attach(load("prs3/prs3"), prefix=UPPER, frame=spec.worldbody.add_frame())
+        site = spec.site(MOUNT)
+        made_of, plane = drawn(scenario.mechanism), np.array(site.pos)
+        add_active(spec, made_of, site.parent, plane, TOOL_HOME[:3])
+        add_upper_passive(spec, scenario.mechanism, UPPER)
+        self.model = spec.compile()
         self._lower = facility_of(scenario).kinematics(self.model, ACTIVE + "A")
+        self._upper = upper_kinematics(self.model, UPPER)
 
     def port_poses(self, rows: NDArray[np.intp], pose_cmd: Array, pose: Array) -> Array:
         """``(frames, 7)`` planned poses of P in W at the rows of ``pose_cmd`` (ticks, 7)."""
@@ -83,8 +97,7 @@ class DrawnNineAxes:
         out, pose_A = np.empty((len(pose), self.model.nq)), np.empty(7)
         for q, at, port in zip(out, pose, pose_P, strict=True):
             pose_compose(port, at, pose_A)
-            q[:] = self._lower.solve(pose_A)[0]
-            write_joints(self.model, port, q, UPPER)
+            q[:] = self._upper.solve(port, start=self._lower.solve(pose_A)[0])[0]
         return out
 
 

@@ -20,10 +20,8 @@ import math
 from typing import NamedTuple
 
 from hiltestbed.compiled.jit import njit
+from hiltestbed.platform.parameters import FRICTION, INTEGRAL, LIMIT, OFFSET, STATIC, ZETA, W
 
-# parameters of a drive: [rad/s], -, m, m, m/s^2, s, -
-W, ZETA, FRICTION, OFFSET, LIMIT, INTEGRAL, STATIC = range(7)
-NUMBERS = 7
 PLACE, RATE, SUM = 0, 1, 2  # its state: x [m], x' [m/s], q [m]
 STATE = 3
 

@@ -19,11 +19,15 @@ from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array
 from hiltestbed.platform.build import facility_of
-from hiltestbed.platform.facilities.composed import TOOL, CarriedLoad, facility_model, rest_reading
-from hiltestbed.platform.facilities.facility import Facility
+from hiltestbed.platform.facilities.composed import (
+    TOOL,
+    CarriedLoad,
+    facility_model,
+    rest_reading,
+    sensor_columns,
+)
+from hiltestbed.platform.facilities.facility import Facility, Runs
 from hiltestbed.platform.facilities.limits import Watch
-from hiltestbed.platform.facilities.mover import Runs
-from hiltestbed.platform.model import sensor_columns
 from hiltestbed.platform.response import PlatformResponse
 
 if TYPE_CHECKING:

@@ -20,10 +20,15 @@ from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array, pose_step, rotate_back, twist_between
-from hiltestbed.platform import model
 from hiltestbed.platform.build import facility_of
 from hiltestbed.platform.driven import runs_of
-from hiltestbed.platform.facilities.composed import TOOL, facility_model
+from hiltestbed.platform.facilities.composed import (
+    INTEGRATED_MASS,
+    TOOL,
+    facility_model,
+    ideal_model,
+    sensor_columns,
+)
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.response import ResponsePath
 from hiltestbed.platform.response import PlatformResponse
@@ -107,7 +112,7 @@ class IdealTracking:
         first, n = scenarios[0], len(scenarios)
         self.tick, self.substeps = first.tick, first.substeps
         dt = first.tick / first.substeps
-        self.model = model.ideal_model(structure, dt)
+        self.model = ideal_model(structure, dt)
         self.batch = Batch(self.model, n, nthread)
         self.contacts = Contacts(self.batch, scenarios, structure, dt, 0.0, force)
         self.path = PlatformResponse(scenarios)
@@ -126,7 +131,7 @@ class IdealTracking:
         self._joints = joints
         bind = self.batch.bind
         self._qpos, self._qvel, self._warmstart = bind("qpos"), bind("qvel"), bind("qacc_warmstart")
-        self._reading = bind("sensordata")[:, model.sensor_columns(self.model)]
+        self._reading = bind("sensordata")[:, sensor_columns(self.model)]
         free = self.model.joint("A_joint")
         self._joint = np.array([free.qposadr[0], free.dofadr[0]])
         self._push = (
@@ -247,7 +252,7 @@ class IdealTracking:
 
     def _accelerate(self, s: int, push: Array) -> None:
         """Accelerate A in step ``s`` by ``push`` (n, 6), so that its moving parts react to it."""
-        per_step = model.INTEGRATED_MASS * self.substeps / self.tick
+        per_step = INTEGRATED_MASS * self.substeps / self.tick
         twist = self.twist_act if self._way is None else self._way[1][s - 1]
         _change(self._between, twist, self._qvel, self._joint[1], per_step, push)
 

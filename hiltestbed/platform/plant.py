@@ -24,7 +24,7 @@ from hiltestbed.platform import build
 from hiltestbed.platform.build import structure
 from hiltestbed.platform.driven import ServoTracking
 from hiltestbed.platform.ideal import IdealTracking
-from hiltestbed.platform.prs3.nine_axes import NineAxes
+from hiltestbed.platform.nine_axes import NineAxes
 
 if TYPE_CHECKING:
     from hiltestbed.contact.contacts import AppliedForce

@@ -19,9 +19,15 @@ from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.effects.table import by_link
 from hiltestbed.frames import Array
-from hiltestbed.platform.drive import PLACE, RATE, STATE, W, drive_over
-from hiltestbed.platform.parameters import PlatformParameters, ResponseParameters, stack
-from hiltestbed.platform.step_response import longest_memory, summed_over
+from hiltestbed.platform.drive import PLACE, RATE, STATE, drive_over
+from hiltestbed.platform.parameters import (
+    PlatformParameters,
+    ResponseParameters,
+    W,
+    longest_memory,
+    stack,
+    summed_over,
+)
 
 if TYPE_CHECKING:
     from hiltestbed.scenario.like import ScenarioLike as Scenario

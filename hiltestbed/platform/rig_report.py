@@ -18,13 +18,15 @@ from numpy.typing import NDArray
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.platform.build import facility_of
-from hiltestbed.platform.facilities.measure.frequency_response import (
+from hiltestbed.platform.facilities.measure import (
     FrequencyResponse,
+    Mode,
+    Reach,
     dynamic_stiffness,
     frequency_response,
+    modes,
+    workspace,
 )
-from hiltestbed.platform.facilities.measure.modes import Mode, modes
-from hiltestbed.platform.facilities.measure.workspace import Reach, workspace
 from hiltestbed.platform.facilities.stand import Stand
 from hiltestbed.report.page import Report, new_figure
 from hiltestbed.run_folder.store import whole_folder

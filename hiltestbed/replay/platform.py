@@ -10,7 +10,8 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-from hiltestbed.platform.drive import FRICTION, OFFSET, PLACE, RATE, STATE, STATIC, W
+from hiltestbed.platform.drive import PLACE, RATE, STATE
+from hiltestbed.platform.parameters import FRICTION, OFFSET, STATIC, W
 from hiltestbed.platform.response import (
     HELD,
     LIMITED,
@@ -319,7 +320,7 @@ def _summed(command, sums, start, velocity, at, h):
 @njit(cache=True)
 def _answered(command, sums, step, start, velocity, at, h):
     """The command filtered by the packed ``step`` response, see
-    :mod:`hiltestbed.platform.step_response`.
+    :mod:`hiltestbed.platform.parameters`.
     """
     n, most = int(step[0]), (len(step) - 1) // 2
     if n == 0:

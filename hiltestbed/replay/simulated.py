@@ -24,8 +24,8 @@ from hiltestbed.effects.base import Effect
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array, pose_step, twist_between
 from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.platform.facilities.composed import BODY
 from hiltestbed.platform.kinds import PLATFORMS
-from hiltestbed.platform.model import BODY
 from hiltestbed.platform.plant import Plant, alike
 from hiltestbed.platform.settings import Rig
 from hiltestbed.replay.felt import Kept

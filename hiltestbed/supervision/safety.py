@@ -17,8 +17,9 @@ import numpy as np
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
+from hiltestbed.platform.facilities.limbs import slider
+from hiltestbed.platform.facilities.pss33 import shipped_limbs
 from hiltestbed.platform.plant import Plant
-from hiltestbed.platform.pss33.kinematics import shipped_limbs, slider
 from hiltestbed.scenario import Scenario
 
 LIMITS = {  # what is said beyond each, and its unit

@@ -8,17 +8,20 @@ from scipy.spatial.transform import Rotation
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.touch import Meeting
 from hiltestbed.frames import Array, quat_from_attitude_deg
-from hiltestbed.platform.facilities.tree import between
-from hiltestbed.platform.prs3.allocation import (
+from hiltestbed.platform.facilities.prs3 import (
     BLEND,
     DOCKING,
+    HEAVE,
     LONGEST,
     MOST_BENT,
+    TILT,
+    Upper,
     lower_pose,
+    place,
     upper_coordinates,
 )
-from hiltestbed.platform.prs3.geometry import HEAVE, TILT, Upper, place
-from hiltestbed.platform.prs3.nine_axes import SETTLE
+from hiltestbed.platform.facilities.tree import between
+from hiltestbed.platform.nine_axes import SETTLE
 from tests.platform.halls import apart
 from tests.platform.rigs import scenario
 

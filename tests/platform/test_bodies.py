@@ -15,10 +15,9 @@ from mujoco.batch import Batch
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.bodies import Article
-from hiltestbed.platform.facilities.facility import compiled
-from hiltestbed.platform.facilities.mover import Runs
-from hiltestbed.platform.facilities.suspension import HOOK
-from hiltestbed.platform.payload import GRAVITY
+from hiltestbed.platform.facilities.facility import Runs, compiled
+from hiltestbed.platform.facilities.halls import HOOK
+from hiltestbed.platform.facilities.motion import GRAVITY
 from tests.platform.halls import facility
 
 STEP = 2.5e-4

@@ -9,7 +9,7 @@ import pytest
 
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.limits import Watch
-from hiltestbed.platform.facilities.measure.workspace import workspace
+from hiltestbed.platform.facilities.measure import workspace
 from hiltestbed.platform.facilities.stand import Stand
 from tests.platform.halls import UPRIGHT, arm, arms, poses, stewart
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from hiltestbed.frames import Array
+from hiltestbed.platform.facilities.pss33 import PRESLIDING
 from hiltestbed.platform.friction import BRISTLE, DriveFriction
-from hiltestbed.platform.pss33.drives import PRESLIDING
-from hiltestbed.platform.pss33.settings import Pss33
+from hiltestbed.platform.shipped.pss33 import Pss33
 from hiltestbed.scenario import Scenario, scenario_from
 from tests.platform.rigs import scenario
 from tests.running import run

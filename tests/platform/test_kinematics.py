@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -11,9 +12,18 @@ from hiltestbed.config.models import load, models_folder
 from hiltestbed.errors import InputError
 from hiltestbed.platform.facilities.facility import MOUNT, MOUNT_HOME, compiled
 from hiltestbed.platform.facilities.kinematics import Kinematics
+from hiltestbed.platform.facilities.limbs import (
+    LimbKinematics,
+    jacobian,
+    limb_forces,
+    moved_masses,
+    slider,
+)
+from hiltestbed.platform.facilities.prs3 import upper_kinematics
+from hiltestbed.platform.facilities.pss33 import shipped_limbs
+from hiltestbed.platform.facilities.upper_drives import upper_model
 from hiltestbed.platform.plant import Plant
-from hiltestbed.platform.pss33.kinematics import jacobian, shipped_limbs, slider
-from hiltestbed.platform.pss33.settings import Pss33
+from hiltestbed.platform.shipped.pss33 import Pss33
 from tests.platform.halls import facility, poses
 from tests.platform.rigs import scenario
 
@@ -66,6 +76,46 @@ def test_the_closed_form_solves_the_equations_that_every_facility_solves() -> No
         np.testing.assert_allclose(v, general.rates(q, twist), atol=1e-7)
         jacobian(closed.limbs, goal, sliders, jac)
         np.testing.assert_allclose([sliders, jac @ twist[0]], [q[closed.q], v[closed.v]], atol=1e-9)
+
+
+def bare_platform() -> tuple[mujoco.MjModel, LimbKinematics]:
+    model = compiled(facility("pss33").spec())
+    return model, facility("pss33").kinematics(model)
+
+
+def upper_platform() -> tuple[mujoco.MjModel, LimbKinematics]:
+    model = upper_model(scenario().mechanism, 1e-3)
+    return model, upper_kinematics(model)
+
+
+@pytest.mark.parametrize("make", [bare_platform, upper_platform])
+def test_the_drives_forces_in_closed_form_are_those_of_the_whole_model(make) -> None:
+    """From rest, with links that are uniform rods: the work of the drives in each motion that the
+    loops allow is that of all joint forces, by MuJoCo's own mass matrix and weight.
+    """
+    model, kinematics = make()
+    count = len(kinematics.limbs)
+    for j in range(count):
+        link, end = model.body(f"link_{j}"), model.site(f"link_end_{j}").pos
+        across = link.mass[0] * (end @ end) / 12.0
+        link.ipos[:], link.inertia[:] = 0.5 * end, [across, across, 0.0]
+        mujoco.mju_quatZ2Vec(link.iquat, end)
+    data, rng = mujoco.MjData(model), np.random.default_rng(8)
+    q = kinematics.home.copy()
+    q[kinematics.q] += rng.uniform(-0.02, 0.02, count)
+    data.qpos[:] = q = kinematics.closed(q)
+    mass = np.empty((model.nv, model.nv))
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, mass)
+    every = np.array([kinematics.following(q, unit) for unit in np.eye(count)])
+    ways = np.array([kinematics.twists(q, rates)[0] for rates in every]).T.copy()
+    accel, found, work = rng.normal(size=count), np.empty(count), np.empty((8, 3))
+    bend = ways @ accel - [*model.opt.gravity, 0.0, 0.0, 0.0]
+    moving = kinematics.poses(q)[0], np.zeros(3), bend
+    moved = moved_masses(model, kinematics.tools[0])
+    limb_forces(kinematics.limbs, moved, ways, moving, accel, work, found)
+    expected = every @ (mass @ (accel @ every) + data.qfrc_bias)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

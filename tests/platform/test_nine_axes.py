@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 from hiltestbed.compiled.state import arrays_of
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.platform.payload import GRAVITY
+from hiltestbed.platform.facilities.motion import GRAVITY
+from hiltestbed.platform.facilities.prs3 import BLEND, DOCKING
+from hiltestbed.platform.nine_axes import NineAxes
 from hiltestbed.platform.plant import Plant
-from hiltestbed.platform.prs3.allocation import BLEND, DOCKING
-from hiltestbed.platform.prs3.nine_axes import NineAxes
 from hiltestbed.scenario import Scenario, scenario_from
 from tests.platform.rigs import scenario
 from tests.running import run

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from hiltestbed.errors import InputError
-from hiltestbed.platform.build import built
-from hiltestbed.platform.facilities.stand import Stand
+from hiltestbed.platform.facilities.pss33 import MOVED_PER_DRIVE
 from hiltestbed.platform.plant import Plant
-from hiltestbed.platform.pss33.drives import KP, KV, SliderDrives
 from tests.platform.rigs import pose, scenario
 from tests.running import shipped
 
@@ -152,10 +150,9 @@ def test_what_the_servo_takes_from_a_rebound_is_its_drives_damping() -> None:
         twist[0, 2] += h * accel[0, 2]
         position[0, 2] += h * twist[0, 2]
         plant.advance(position, twist, accel)
-    drives = Stand(built(s.rig.platform)).drives
-    assert isinstance(drives, SliderDrives)
-    gains = drives.gains[0]
-    taken = 1e5**2 * float(gains[KV]) / (3.0 * float(gains[KP]) ** 2)
+    w = 2.0 * np.pi * s.rig.platform.bandwidth
+    kp, kv = MOVED_PER_DRIVE * w**2, 2.0 * s.rig.platform.damping_ratio * MOVED_PER_DRIVE * w
+    taken = 1e5**2 * kv / (3.0 * kp**2)
     expected = -np.pi * taken / (2.0 * np.sqrt(1e5 * mu))
     assert np.log(-twist[0, 2] / 0.03) == pytest.approx(expected, abs=abs(expected) / 3.0)
     assert abs(expected) < 1e-3

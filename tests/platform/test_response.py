@@ -11,7 +11,7 @@ from scipy.signal import TransferFunction, lsim, lti
 
 from hiltestbed.platform.drive import STATE
 from hiltestbed.platform.facilities.response import ResponsePath
-from hiltestbed.platform.facilities.settings import ResponseSettings
+from hiltestbed.platform.kinds import ResponseSettings
 from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.response import MEMORY, follow, second_order
 from hiltestbed.scenario import scenario_from

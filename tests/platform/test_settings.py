@@ -15,8 +15,7 @@ from hiltestbed.errors import InputError
 from hiltestbed.platform.build import built
 from hiltestbed.platform.facilities.bodies import PhysicalFacility
 from hiltestbed.platform.facilities.facility import Facility
-from hiltestbed.platform.facilities.settings import ResponseSettings
-from hiltestbed.platform.kinds import PLATFORMS, Platform
+from hiltestbed.platform.kinds import PLATFORMS, Platform, ResponseSettings
 from hiltestbed.plugins import register
 from tests.platform.halls import TABLE, stewart
 

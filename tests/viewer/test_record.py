@@ -13,8 +13,8 @@ from rerun.chunk import RrdReader
 
 from hiltestbed import load_scenario
 from hiltestbed.frames import Array, rotation_matrix
-from hiltestbed.platform.prs3.geometry import Upper
-from hiltestbed.platform.pss33.kinematics import shipped_limbs
+from hiltestbed.platform.facilities.prs3 import Upper
+from hiltestbed.platform.facilities.pss33 import shipped_limbs
 from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import RunTrace
@@ -273,10 +273,10 @@ def test_upper_platform_carries_P_and_its_legs_close(tmp_path: Path) -> None:
     # P is drawn where it is planned to be
     np.testing.assert_allclose(relative, done.trace["pose_act"][rows, :3], atol=2e-5)
     upper = Upper.load()
-    for j, leg in enumerate(upper.legs):
+    for j, leg in enumerate(upper.limbs):
         foot, swing = read.pose(f"rig/upper_link_{j}")
         end = foot + swing @ [-1.0, 0.0, -0.98]  # link_end of models/prs3
-        np.testing.assert_allclose(end, port + attitude @ leg[3:6], atol=1e-5)
+        np.testing.assert_allclose(end, port + attitude @ leg[6:9], atol=1e-5)
 
 
 def test_a_run_that_does_not_touch(scenario: Scenario, tmp_path: Path) -> None:

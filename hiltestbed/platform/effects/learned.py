@@ -12,7 +12,7 @@ from hiltestbed.config.piecewise import Curve, Pairs, packed
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, Scales
-from hiltestbed.platform.step_response import mean_lateness
+from hiltestbed.platform.parameters import mean_lateness
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ gravity may have any direction (horizontal insertion: along -y). The plant attac
 sets the time step and stiffens the loops (:func:`facility.set_steps`).
 
 Drives: ``d = facility.drives(model, runs, tool="active_A")``, arrays (n, ...) updated in place
-(:class:`mover.Mover`). A tick, with the contact wrench applied to both sides before every step:
+(:class:`facility.Mover`). A tick, with the contact wrench applied to both sides before every step:
 
     d.aim(pose_cmd, twist_cmd, accel_cmd)  # relative, in P
     for s in range(substeps):

@@ -49,12 +49,12 @@ from hiltestbed.platform.facilities.facility import (
     SENSOR_HEIGHT,
     TOOL_HOME,
     Facility,
+    Runs,
     add_carrier,
-    frame_of,
+    standing,
 )
 from hiltestbed.platform.facilities.force_servo import ElasticJoints
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
 from hiltestbed.platform.shipped.arms import SerialArmSettings, TwoArmsSettings
 
@@ -108,11 +108,7 @@ class SerialArm(Facility):
         return arm_axes()
 
     def spec(self) -> mujoco.MjSpec:
-        spec = load("serial_arm/serial_arm")
-        frame_of(spec)
-        add_carrier(spec.worldbody)
-        spec.option.gravity = [0.0, 0.0, -9.81]
-        return spec
+        return standing("serial_arm/serial_arm")
 
     def kinematics(self, model: mujoco.MjModel, tool: str = MOUNT) -> Kinematics:
         return Kinematics(model, [tool], self.axes, locked=gear_names())

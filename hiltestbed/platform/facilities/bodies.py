@@ -26,11 +26,12 @@ from hiltestbed.platform.facilities.facility import (
     MOUNT_HOME,
     NOMINAL,
     TOOL_HOME,
+    UPRIGHT,
     Facility,
+    Mover,
     add_carrier,
 )
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.mover import UPRIGHT, Mover
 from hiltestbed.platform.facilities.tree import between, compose, inverse_pose
 
 WEIGHTLESS = 1e-6  # [kg], [kg m^2] of a mechanism whose mass is included in its article

@@ -1,4 +1,10 @@
-"""A facility with both sides of a docking mechanism on it, as a MuJoCo model."""
+"""The MuJoCo models of a rig, from the MJCF files in ``models/``: a facility with both sides of a
+docking mechanism on it, and the mechanisms alone.
+
+The world frame W has its origin at the nominal position of P, z up along the insertion: a pose in W
+is a pose in P while the passive side is at its nominal pose. Site names: ``active_A`` and
+``passive_P`` on the two mechanisms.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +27,13 @@ from hiltestbed.contact.composition import (
     weigh_contact,
 )
 from hiltestbed.contact.mount import CARRIER
-from hiltestbed.frames import Array, cross, rotate_back
+from hiltestbed.frames import Array, rotate_back
 from hiltestbed.platform.facilities.bodies import PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, NOMINAL, TOOL_HOME, Facility, set_steps
-from hiltestbed.platform.payload import load_of
+from hiltestbed.platform.facilities.motion import carry, load_of
 
 TOOL = ACTIVE + "A"  # the site that follows the command
+SENSOR_AXES = np.array([0.0, 0.0, 0.0, 1.0])  # of the load, in which it is known
 ROUNDING = 1e-9  # [N], [N m] rounding error of a difference of loads of up to 1e4
 # Inputs of the load compensation of a moving sensor: a - g, angular rate and angular acceleration
 # of P.
@@ -35,6 +42,12 @@ LOAD_SENSORS = (
     ("load_rate", mujoco.mjtSensor.mjSENS_GYRO),
     ("load_turning", mujoco.mjtSensor.mjSENS_FRAMEANGACC),
 )
+
+
+def sensor_columns(model: mujoco.MjModel) -> slice:
+    """Columns of force and torque in MuJoCo's sensor data."""
+    first = int(model.sensor("force").adr[0])
+    return slice(first, first + 6)
 
 
 def facility_spec(facility: Facility, structure: Structure, timestep: float) -> mujoco.MjSpec:
@@ -100,23 +113,13 @@ class CarriedLoad:
     """Load compensation of a sensor that moves with the passive side: weight and inertia of a rigid
     load.
 
-    The load is computed from an accelerometer and gyroscopes at the sensor, with its mass m, centre
-    r and inertia I known:
-
-        f = m (a - g + alpha x r + omega x (omega x r)),   t = I alpha + omega x I omega + r x f
+    The load's wrench (:func:`hiltestbed.platform.facilities.motion.carry`) is computed
+    from an accelerometer and gyroscopes at the sensor.
     """
 
     def __init__(self, model: mujoco.MjModel, home: Array) -> None:
         """``home`` (nq,): joint positions at which P is at W's origin with W's attitude."""
-        data = mujoco.MjData(model)
-        data.qpos[:] = home
-        mujoco.mj_forward(model, data)
-        carrier = model.body(CARRIER).id
-        bodies = [
-            b for b in range(model.nbody) if _under(model, b, carrier) and model.body_mass[b] > 0.0
-        ]
-        origin = np.array(data.site(NOMINAL).xpos)
-        self.load = load_of(model, data, bodies, origin) if bodies else np.zeros(13)
+        self.load = carried_load(model, home)
         force = int(model.sensor("force").adr[0])
         columns = np.array([int(model.sensor(name).adr[0]) for name, _ in LOAD_SENSORS])
         self._read = Call(_read_carried, force, columns, self.load, GIVEN, GIVEN, GIVEN, GIVEN, ...)
@@ -133,37 +136,68 @@ class CarriedLoad:
         self._read.on(sensordata, attitude, runs, wrench_sub)(sub)
 
 
-def _under(model: mujoco.MjModel, body: int, top: int) -> bool:
-    while body > 0:
-        if body == top:
-            return True
-        body = int(model.body_parentid[body])
-    return False
+def carried_load(model: mujoco.MjModel, home: Array) -> Array:
+    """``(13,)`` of what the sensor carries, about P, with the joints at ``home`` (nq,), as
+    :func:`hiltestbed.platform.facilities.motion.load_of`; zeros without mass.
+    """
+    data, carried = mujoco.MjData(model), {model.body(CARRIER).id}
+    data.qpos[:] = home
+    mujoco.mj_forward(model, data)
+    for b, parent in enumerate(model.body_parentid):  # a parent comes before its children
+        if int(parent) in carried:
+            carried.add(b)
+    bodies = [b for b in sorted(carried) if model.body_mass[b] > 0.0]
+    return load_of(model, data, bodies, data.site(NOMINAL).xpos) if bodies else np.zeros(13)
 
 
 @njit(cache=True)
 def _read_carried(force, columns, load, data, place, runs, wrench_sub, sub):
-    alpha, ring, v, f = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    accel, work, carried = np.empty(6), np.empty((6, 3)), np.empty(6)
     for i in runs:
+        accel[:3] = data[i, columns[0] : columns[0] + 3]
         # MuJoCo gives it in W
-        rotate_back(place[i, 3:7], data[i, columns[2] : columns[2] + 3], alpha)
-        w, r = data[i, columns[1] : columns[1] + 3], load[1:4]
-        cross(w, r, v)
-        cross(w, v, ring)
-        cross(alpha, r, v)
-        for j in range(3):
-            f[j] = load[0] * (data[i, columns[0] + j] + v[j] + ring[j])
-        for j in range(3):
-            v[j] = load[4 + 3 * j] * w[0] + load[5 + 3 * j] * w[1] + load[6 + 3 * j] * w[2]
-        cross(w, v, ring)
-        cross(r, f, v)
-        for j in range(3):
-            turn = (
-                load[4 + 3 * j] * alpha[0] + load[5 + 3 * j] * alpha[1] + load[6 + 3 * j] * alpha[2]
-            )
-            wrench_sub[i, sub, j] = f[j] - data[i, force + j]
-            wrench_sub[i, sub, 3 + j] = turn + ring[j] + v[j] - data[i, force + 3 + j]
-        # exact zero for equal loads, since a force of zero means that there is no contact
+        rotate_back(place[i, 3:7], data[i, columns[2] : columns[2] + 3], accel[3:6])
+        carry(load, SENSOR_AXES, data[i, columns[1] : columns[1] + 3], accel, work, carried)
         for j in range(6):
+            wrench_sub[i, sub, j] = carried[j] - data[i, force + j]
+            # exact zero for equal loads, since a force of zero means that there is no contact
             if abs(wrench_sub[i, sub, j]) < ROUNDING:
                 wrench_sub[i, sub, j] = 0.0
+
+
+BODY = "A_body"  # body of the active side without a platform
+PRESCRIBED_MASS = 1e15  # [kg], [kg m^2]
+# likewise if other bodies are integrated as well: from 1e12 on MuJoCo's solver makes no progress
+INTEGRATED_MASS = 1e8
+SOLVED = 1e-12  # tolerance of the solver: forces to nine digits
+
+
+def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
+    """The mechanisms alone: the active one a free body with frame A, placed before each evaluation;
+    no gravity.
+
+    The placed body must not yield: its mass makes it immovable (PRESCRIBED_MASS) while the contact
+        is scaled by an inverse weight of 1/kg, so that no acceleration enters the force, and
+        stiffness and damping are exact at any lever arm.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = f"ideal-{structure.mechanism.kind}"
+    spec.option.cone, spec.option.gravity = mujoco.mjtCone.mjCONE_ELLIPTIC, [0.0, 0.0, 0.0]
+    set_steps(spec, timestep)
+    add_passive(spec, structure, spec.worldbody.add_body(name=CARRIER))
+    body = spec.worldbody.add_body(name=BODY)
+    body.add_freejoint(name="A_joint")
+    integrated = structure.mounted or structure.sides.moving
+    mass = INTEGRATED_MASS if integrated else PRESCRIBED_MASS
+    body.mass, body.inertia, body.explicitinertial = mass, np.full(3, mass), True
+    add_active(spec, structure, body, np.zeros(3), np.zeros(3))
+    add_contact(spec, structure)
+    model = spec.compile()
+    weigh_contact(model, BODY)
+    if integrated:
+        # The solver scales its progress by the mean inertia, which must be that of the integrated
+        # bodies alone: with the prescribed mass it would always appear converged
+        first = int(model.joint("A_joint").dofadr[0])
+        model.stat.meaninertia = np.delete(model.dof_M0, slice(first, first + 6)).mean()
+        model.opt.tolerance = SOLVED
+    return model

@@ -23,10 +23,9 @@ from hiltestbed.compiled.bound import GIVEN, Call, bound
 from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_step
-from hiltestbed.platform.facilities.inverse_dynamics import drive_forces, joint_forces, weights
+from hiltestbed.platform.facilities.facility import UPRIGHT, Mover, Runs
 from hiltestbed.platform.facilities.kinematics import Kinematics
-from hiltestbed.platform.facilities.motion import scratch
-from hiltestbed.platform.facilities.mover import UPRIGHT, Mover, Runs
+from hiltestbed.platform.facilities.motion import drive_forces, scratch, weights
 from hiltestbed.platform.facilities.newton import newton, rates, shift, ways
 from hiltestbed.platform.facilities.reference import Cycles, TickPlan, plan_tick, sample
 from hiltestbed.platform.friction import DriveFriction
@@ -92,10 +91,10 @@ def _solve(tree, w, cycles, targets, plan, i):
     if k < 0 or (k // cycle) % WEIGHED == 0:
         joints, nv = plan.goal.shape[1], tree.armature.shape[0]
         every, forces = np.empty((6 * poses.shape[0] + held.shape[0], nv)), np.empty(nv)
-        square, right = np.empty((joints, joints)), np.empty(joints)
+        square = np.empty((joints, joints))
         ways(tree, w, every)
         weights(tree, targets.gravity, w, forces)
-        drive_forces(every, axes[1], forces, square, right, targets.load[i])
+        drive_forces(every, axes[1], forces, square, targets.load[i])
 
 
 @njit(cache=True)
@@ -307,10 +306,11 @@ def mass_matrix(kinematics: Kinematics, model: mujoco.MjModel) -> Array:
     ways(tree, w, every)
     # (J, nv): rates of all joints per unit rate of a driven joint
     reach = np.linalg.pinv(every[:, kinematics.v]) @ every
-    forces, none = np.empty((len(reach), model.nv)), np.zeros(3)
-    for j, way in enumerate(reach):
-        joint_forces(tree, np.zeros(model.nv), np.ascontiguousarray(way), none, w, forces[j])
-    return reach @ forces.T
+    data, mass = mujoco.MjData(model), np.empty((model.nv, model.nv))
+    data.qpos[:] = home
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, mass)
+    return reach @ mass @ reach.T
 
 
 def drive_inputs(model: mujoco.MjModel, joints: Sequence[str]) -> NDArray[np.int64]:

@@ -5,23 +5,32 @@ kinematics and drives; the plant uses neither its name nor its joints. In W, the
 composed model, z points along the insertion and the origin is the nominal position of the passive
 port P; at home the site `mount`, which carries the active mechanism, is at :data:`MOUNT_HOME`, with
 W's attitude.
+
+What moves the ports of `n` runs, drives that follow commands or bodies that move freely, is a
+:class:`Mover`; both are read in the same way.
 """
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable, Sequence
 from functools import cached_property
-from typing import Any, ClassVar
+from operator import attrgetter
+from typing import Any, ClassVar, NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
 from hiltestbed.config.models import load
 from hiltestbed.contact.mount import CARRIER
+from hiltestbed.contact.wrench import relate_one
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.mover import Mover, Runs
+from hiltestbed.platform.facilities.motion import move, place, scratch, tool_pose, tool_twist
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
 
 MOUNT = "mount"
@@ -31,6 +40,157 @@ MOUNT_HOME = np.array([0.0, 0.0, -0.60, 0.0, 0.0, 0.0, 1.0])
 UPRIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 TOOL_HOME = np.array([0.0, 0.0, 0.60, 0.0, 0.0, 0.0, 1.0])  # pose of A in the mount
 SENSOR_HEIGHT = 0.76  # [m] of the sensor's flange over P
+
+
+class Runs(NamedTuple):
+    """`n` runs on one compiled model.
+
+    Attributes:
+        tick: of the loop [s]. substeps: physics steps per tick. settings: (n,) of each run's
+            platform. feed: (n,) bool, feed-forward of velocity and acceleration.
+    """
+
+    tick: float
+    substeps: int
+    settings: Sequence[Any]
+    feed: NDArray[np.bool_]
+
+    @property
+    def step(self) -> float:
+        """Of the physics [s]."""
+        return self.tick / self.substeps
+
+    def numbers(self, name: str) -> Array:
+        """``(n,)`` one parameter of each run's settings, by its dotted name."""
+        return np.array([attrgetter(name)(s) for s in self.settings], dtype=float)
+
+
+class PortMotion(NamedTuple):
+    """Poses (n, 7) and twists (n, 6) of A and P in W, and those of A relative to P, in P, which are
+    the same arrays as those of A in W if P is W.
+    """
+
+    place_A: Array
+    motion_A: Array
+    place_P: Array
+    motion_P: Array
+    pose: Array
+    twist: Array
+
+
+class Readings(NamedTuple):
+    """Driven joints: axes (2, J) addresses of their positions and rates, home (J,), and the
+    readings (n, J) of positions, from home, and of rates.
+    """
+
+    axes: NDArray[np.int64]
+    home: Array
+    joints: Array
+    rates: Array
+
+
+class Mover:
+    """The moving ports of `n` runs; all arrays are updated in place.
+
+    Attributes, at t_k:
+        pose, twist: (n, 7), (n, 6) of A relative to P, in P. place_A, motion_A, place_P, motion_P:
+            of both in W; all in sides.
+        joints, joint_rates: (n, J) of the driven joints, actual, from home. reference: (n, J)
+            commanded, from home.
+        missed: (n,) distance by which the last command was out of the facility's reach [m, rad].
+    """
+
+    writes: ClassVar[str] = "ctrl"  # field of MuJoCo's data that `push` writes
+
+    def __init__(self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs) -> None:
+        n, joints = len(runs.settings), len(kinematics.axes)
+        self.model, self.kinematics, self.runs = model, kinematics, runs
+        moved = [(np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))) for _ in range(3)]
+        if len(kinematics.tools) == 1:
+            moved[2] = moved[0]
+        self.sides = PortMotion(*(x for side in moved for x in side))
+        self.place_A, self.motion_A, self.place_P, self.motion_P, self.pose, self.twist = self.sides
+        self.joints, self.joint_rates, self.reference = (np.zeros((n, joints)) for _ in range(3))
+        self.missed = np.zeros(n)
+        self.readings = Readings(
+            np.array([kinematics.q, kinematics.v]),
+            kinematics.joints_home,
+            self.joints,
+            self.joint_rates,
+        )
+
+    def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
+        """Initialise joints and drives in a uniform motion of A through ``pose`` (n, 7) with
+        ``twist`` (n, 6). Raises InputError for a start that cannot be.
+        """
+        raise NotImplementedError
+
+    def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """Plan one tick; nothing commands bodies that move freely."""
+
+    def push(self, sub: int, qpos: Array, qvel: Array, inputs: Array) -> None:
+        """Write the inputs of step ``sub`` of the tick, from the current joint state."""
+        raise NotImplementedError
+
+    def arrive(self) -> None:
+        """Complete the tick."""
+
+    @cached_property
+    def _seen(self) -> Call:
+        tree = self.kinematics.tree.towards_tools()
+        parts = tree, scratch(tree), self.readings, self.sides
+        return Call(_observe, *parts, *(GIVEN,) * 4)
+
+    def observing(
+        self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]
+    ) -> Callable[[], bool]:
+        """Call that reads poses, twists and joints, bound to arrays that are reused; it returns
+        whether a run has just exceeded ``limit`` [m/s, rad/s], and marks it in ``diverged`` (n,).
+        """
+        return self._seen.on(qpos, qvel, limit, diverged)
+
+
+@njit(cache=True)
+def _observe(tree, w, readings, sides, qpos, qvel, limit, diverged):
+    lost = False
+    for i in range(qpos.shape[0]):
+        if diverged[i] or has_diverged(qpos[i], qvel[i], limit):
+            lost = lost or not diverged[i]
+            diverged[i] = True
+            continue
+        _read_ports(tree, w, qpos[i], qvel[i], sides, i)
+        for j in range(readings.home.shape[0]):
+            readings.joints[i, j] = qpos[i, readings.axes[0, j]] - readings.home[j]
+            readings.rates[i, j] = qvel[i, readings.axes[1, j]]
+    return lost
+
+
+@njit(cache=True)
+def has_diverged(qpos, qvel, limit):
+    """Whether a joint rate reaches ``limit``, or a position or rate is not finite."""
+    for rate in qvel:
+        if not abs(rate) < limit:  # true of NaN too
+            return True
+    for position in qpos:
+        if not math.isfinite(position):
+            return True
+    return False
+
+
+@njit(cache=True)
+def _read_ports(tree, w, q, v, sides, i):
+    """Write the sides of run ``i`` at joints ``q`` with rates ``v``; with one tool P is W."""
+    place_A, motion_A = sides.place_A[i], sides.motion_A[i]
+    place(tree, q, w)
+    move(tree, v, w)
+    tool_pose(tree, w, 0, place_A)
+    tool_twist(tree, w, 0, motion_A)
+    if tree.tools.shape[0] == 1:
+        return
+    place_P, motion_P, v = sides.place_P[i], sides.motion_P[i], np.empty((1, 3))
+    tool_pose(tree, w, 1, place_P)
+    tool_twist(tree, w, 1, motion_P)
+    relate_one(place_A, motion_A, place_P, motion_P, sides.pose[i], sides.twist[i], v)
 
 
 class Facility(ABC):
@@ -102,9 +262,15 @@ class Facility(ABC):
         return self.bare.complaints(compose(np.asarray(pose, dtype=float), inverse_pose(tool)))
 
 
-def frame_of(spec: mujoco.MjSpec) -> None:
-    """Add the frame with the force sensor's flange over a facility that stands below P."""
+def standing(name: str) -> mujoco.MjSpec:
+    """The specification ``name`` of a facility that stands below P, with a fixed passive side on
+    the flange of the force sensor, in a frame over it.
+    """
+    spec = load(name)
     spec.attach(load("frame/frame"), prefix="frame_", frame=spec.worldbody.add_frame())
+    add_carrier(spec.worldbody)
+    spec.option.gravity = [0.0, 0.0, -9.81]
+    return spec
 
 
 def add_carrier(body: Any, pose: Array = UPRIGHT) -> None:

@@ -30,8 +30,8 @@ from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.drives import Drives, mass_matrix
+from hiltestbed.platform.facilities.facility import Runs
 from hiltestbed.platform.facilities.kinematics import Kinematics
-from hiltestbed.platform.facilities.mover import Runs
 
 
 class ServoLoop(NamedTuple):
@@ -89,20 +89,31 @@ class ForceServo(Drives):
     """
 
     def __init__(
-        self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs, section: str
+        self,
+        model: mujoco.MjModel,
+        kinematics: Kinematics,
+        runs: Runs,
+        section: str = "",
+        mass: Array | None = None,
     ) -> None:
-        """``section``: of the settings, with the parameters of the position loop."""
+        """``section``: of the settings, with the parameters of the position loop. ``mass`` (J, J):
+        for which the loop is tuned, of drives that the model itself limits; default: M, and the
+        axes' limits.
+        """
         super().__init__(model, kinematics, runs)
-        w = 2.0 * math.pi * runs.numbers(f"{section}.bandwidth")
-        self.encoder = runs.numbers(f"{section}.encoder_resolution")
+        part = f"{section}." if section else ""
+        w = 2.0 * math.pi * runs.numbers(f"{part}bandwidth")
+        self.encoder = runs.numbers(f"{part}encoder_resolution")
+        most = [axis.force if mass is None else math.inf for axis in kinematics.axes]
+        mass = mass_matrix(kinematics, model) if mass is None else mass
         self.bent = np.zeros_like(self.load)
         self._loop = ServoLoop(
-            mass=np.ascontiguousarray(mass_matrix(kinematics, model)),
-            gains=np.column_stack([w * w, 2.0 * runs.numbers(f"{section}.damping_ratio") * w]),
+            mass=np.ascontiguousarray(mass),
+            gains=np.column_stack([w * w, 2.0 * runs.numbers(f"{part}damping_ratio") * w]),
             encoder=self.encoder,
             load=self.load,
             bent=self.bent,
-            most=np.tile([axis.force for axis in kinematics.axes], (len(w), 1)),
+            most=np.tile(most, (len(w), 1)),
             axes=self._axes,
             inputs=self._inputs,
             force=np.zeros(len(kinematics.axes)),

@@ -165,7 +165,21 @@ class Kinematics:
     def closed(self, q: Array) -> Array:
         """Joints ``(nq,)`` near ``q`` with loops closed and the driven joints of ``q``."""
         out, work = q.copy(), self._forward_work
-        newton(self._forward, out, np.empty((0, 7)), q[self.q], work, CLOSE, ITERATIONS)
+        for close, most in ((CLOSE, ITERATIONS), (0.0, 1)):  # the last step is down to rounding
+            newton(self._forward, out, np.empty((0, 7)), q[self.q], work, close, most)
+        return out
+
+    def following(self, q: Array, speeds: Array) -> Array:
+        """Joint rates ``(nv,)`` for rates (J,) of the driven joints, at ``q`` (nq,) with closed
+        loops.
+        """
+        tree, work = self._forward, self._forward_work
+        equations(tree, q.copy(), np.empty((0, 7)), q[self.q], work)
+        work.goal[:] = 0.0
+        work.goal[-len(speeds) :] = speeds
+        out = np.zeros(len(tree.armature))
+        rows = work.rows[:, tree.unknown]
+        out[tree.unknown] = np.linalg.lstsq(rows, work.goal, rcond=None)[0]
         return out
 
     def rates(self, q: Array, twists: Array, held: Array | None = None) -> Array:

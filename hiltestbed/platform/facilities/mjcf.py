@@ -40,11 +40,11 @@ from hiltestbed.platform.facilities.facility import (
     MOUNT_HOME,
     UPRIGHT,
     Facility,
+    Runs,
     add_carrier,
     compiled,
 )
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.facilities.tree import compose, inverse_pose, site_pose
 from hiltestbed.platform.shipped.mjcf import MjcfSettings
 

@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.frames import quat_exp, quat_mul, quat_normalise, rotate, rotation_vector
+from hiltestbed.frames import quat_exp, quat_mul, quat_normalise, rotate, twist_between
 from hiltestbed.platform.facilities.motion import place, tool_pose
 from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE
 
@@ -47,7 +47,9 @@ def add_rows(tree, w, b, point, sign, r, turns):
                     a += 3
                 axis[:3] = w.axes[j, :3]
                 for c in range(3):
-                    _column(w.poses[b], c, axis)
+                    axis[3] = axis[4] = axis[5] = 0.0
+                    axis[3 + c] = 1.0
+                    rotate(w.poses[b, 3:7], axis[3:6], axis[3:6])
                     _add_axis(axis, point, sign, w.rows, r, a + c, turns)
         b = tree.bodies[b, 0]
 
@@ -61,41 +63,6 @@ def _add_axis(axis, point, sign, rows, r, column, turns):
     if turns:
         for i in range(3):
             rows[r + 3 + i, column] += sign * axis[3 + i]
-
-
-@njit(cache=True)
-def _column(pose, c, out):
-    """``out[3:6]``: column ``c`` of the rotation matrix of a pose."""
-    x, y, z, s = pose[3], pose[4], pose[5], pose[6]
-    if c == 0:
-        out[3], out[4], out[5] = (
-            1.0 - 2.0 * (y * y + z * z),
-            2.0 * (x * y + z * s),
-            2.0 * (x * z - y * s),
-        )
-    elif c == 1:
-        out[3], out[4], out[5] = (
-            2.0 * (x * y - z * s),
-            1.0 - 2.0 * (x * x + z * z),
-            2.0 * (y * z + x * s),
-        )
-    else:
-        out[3], out[4], out[5] = (
-            2.0 * (x * z + y * s),
-            2.0 * (y * z - x * s),
-            1.0 - 2.0 * (x * x + y * y),
-        )
-
-
-@njit(cache=True)
-def attitude_error(goal, quat, out):
-    """``out`` (3,): rotation vector, in W, from the attitude ``goal`` to ``quat`` [rad]."""
-    back, q = np.empty(4), np.empty(4)
-    for i in range(3):
-        back[i] = -goal[i]
-    back[3] = goal[3]
-    quat_mul(quat, back, q)
-    rotation_vector(q, out)
 
 
 @njit(cache=True)
@@ -126,9 +93,7 @@ def equations(tree, q, poses, values, w):
     for t in range(tree.tools.shape[0]):
         tool_pose(tree, w, t, pose)
         add_rows(tree, w, tree.tools[t], pose, 1.0, r, True)
-        for i in range(3):
-            residual[r + i] = pose[i] - poses[t, i]
-        attitude_error(poses[t, 3:7], pose[3:7], residual[r + 3 : r + 6])
+        twist_between(poses[t], pose, 1.0, residual[r : r + 6])
         r += 6
     for k in range(tree.prescribed.shape[0]):
         j = tree.prescribed[k]
@@ -140,7 +105,7 @@ def equations(tree, q, poses, values, w):
 @njit(cache=True)
 def _close_loops(tree, w):
     """Residual and rows of the loops; returns the number of rows."""
-    ends, turns = w.spare[6:12].reshape((2, 3)), w.spare[12:20].reshape((2, 4))
+    ends = w.spare[6:20].reshape((2, 7))
     r = 0
     for k in range(tree.loops.shape[0]):
         whole = tree.loops[k, 0] == FRAME
@@ -150,12 +115,13 @@ def _close_loops(tree, w):
             for i in range(3):
                 ends[e, i] += pose[i]
             if whole:
-                quat_mul(pose[3:7], frame[3:7], turns[e])
+                quat_mul(pose[3:7], frame[3:7], ends[e, 3:7])
             add_rows(tree, w, tree.loops[k, 1 + e], ends[e], 1.0 - 2.0 * e, r, whole)
-        for i in range(3):
-            w.residual[r + i] = ends[0, i] - ends[1, i]
         if whole:
-            attitude_error(turns[1], turns[0], w.residual[r + 3 : r + 6])
+            twist_between(ends[1], ends[0], 1.0, w.residual[r : r + 6])
+        else:
+            for i in range(3):
+                w.residual[r + i] = ends[0, i] - ends[1, i]
         r += 6 if whole else 3
     return r
 

@@ -24,7 +24,7 @@ import numpy as np
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_exp, rotation_vectors
-from hiltestbed.platform.facilities.settings import ResponseSettings
+from hiltestbed.platform.kinds import ResponseSettings
 from hiltestbed.platform.response import ring_at
 
 

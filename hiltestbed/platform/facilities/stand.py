@@ -19,8 +19,7 @@ from hiltestbed.frames import Array, rotate, rotate_back
 from hiltestbed.platform.facilities.composed import TOOL as ON_MECHANISM
 from hiltestbed.platform.facilities.composed import facility_model
 from hiltestbed.platform.facilities.drives import Drives
-from hiltestbed.platform.facilities.facility import MOUNT, Facility, compiled
-from hiltestbed.platform.facilities.mover import Runs
+from hiltestbed.platform.facilities.facility import MOUNT, Facility, Runs, compiled
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism

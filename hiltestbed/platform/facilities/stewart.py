@@ -1,28 +1,57 @@
 """The Stewart platform: six legs, each a universal joint on the floor, an extensible leg, a
-spherical joint at the platform.
+spherical joint at the platform. Its drives are electric
+(:mod:`hiltestbed.platform.facilities.force_servo`) or hydraulic cylinders, as in most docking
+simulators of this type; the reference for the latter is the response reported for the simulator in
+Harbin: at most 2 dB and 70 degrees at 10 Hz.
 
-Two kinds of drives: hydraulic cylinders (:mod:`hiltestbed.platform.facilities.hydraulic`), as in
-most docking simulators of this type, or electric ones
-(:mod:`hiltestbed.platform.facilities.force_servo`). The reference for the hydraulic one is the
-response reported for the
-simulator in Harbin: at most 2 dB and 70 degrees at 10 Hz.
+A hydraulic leg is a double-rod cylinder of area A with a four-way valve (Merritt, Hydraulic
+Control Systems, 1967, ch. 6, with its symbols):
+
+    valve     x_v'' = w_v^2 (u - x_v) - 2 zeta_v w_v x_v',   -1 <= u <= 1
+              advanced exactly, u constant over a step
+    orifice  Q = Q_0 x_v sqrt(max(1 - sgn(x_v) p/p_s, 0))  Q_0: no-load flow at full opening
+    oil       p' = beta (1/V_1 + 1/V_2) (Q - A s' - C p),   V_1,2 = V_0 + A (S/2 +- s)
+    seals     f = A p - friction(s')
+
+p is the load pressure, C the leakage past the piston, V_0 the dead volume of a side, S the stroke.
+The oil is a spring of stiffness k_h = beta A^2 (1/V_1 + 1/V_2). The controller of a leg commands a
+speed,
+
+    v_c = K (s_r - s) + s_r' + (C + C_f) p_r/A - C_f (p - p_f)/A,   u = v_c A/Q_0 + trim
+
+K the position gain; C_f p the dynamic pressure feedback that damps the oil's resonance, less its
+slow part p_f (first-order low-pass), so that a static load does not move the piston; p_r = M
+s_r''/A the pressure for the planned acceleration. Without feed-forward s_r' and p_r are omitted; if
+the valve is much faster than the oil, a leg is then the third-order system
+
+    K w_h^2/(s^3 + 2 zeta_h w_h s^2 + w_h^2 s + K w_h^2),   w_h^2 = k_h/m,   2 zeta_h w_h = beta
+    (1/V_1 + 1/V_2) (C + C_f)
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Hashable
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
-from hiltestbed.config.models import load
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
+from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.drives import Drives, mass_matrix
-from hiltestbed.platform.facilities.facility import MOUNT, Facility, add_carrier, compiled, frame_of
-from hiltestbed.platform.facilities.force_servo import ForceServo
-from hiltestbed.platform.facilities.hydraulic import Hydraulic
-from hiltestbed.platform.facilities.kinematics import Axis
-from hiltestbed.platform.facilities.mover import Runs
+from hiltestbed.platform.facilities.facility import (
+    MOUNT,
+    Facility,
+    Runs,
+    compiled,
+    standing,
+)
+from hiltestbed.platform.facilities.force_servo import ForceServo, quantised
+from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.shipped.stewart import StewartSettings
 
 STROKE = 1.04  # [m] of a cylinder
@@ -49,13 +78,10 @@ class Stewart(Facility):
         return (self.kind, self.settings.drive.kind)
 
     def spec(self) -> mujoco.MjSpec:
-        spec = load("stewart/stewart")
+        spec = standing("stewart/stewart")
         if self.settings.drive.kind == "electric":
             for j in range(6):
                 spec.joint(f"leg_{j}").armature = ARMATURE
-        frame_of(spec)
-        add_carrier(spec.worldbody)
-        spec.option.gravity = [0.0, 0.0, -9.81]
         return spec
 
     def drives(self, model: mujoco.MjModel, runs: Runs, tool: str = MOUNT) -> Drives:
@@ -88,3 +114,147 @@ class Stewart(Facility):
         oil = 2.0 * drive.bulk_modulus * drive.area**2 / side  # [N/m] of a leg, its valve shut
         w = math.sqrt(oil * float((legs.T @ legs)[2, 2] / mass[2, 2]))
         return math.sqrt(drive.gain * w) / (2.0 * math.pi)
+
+
+# parameters of a leg; CORNER: the low-pass coefficient per step
+AREA, SUPPLY, FLOW, MODULUS, DEAD, LENGTH, LEAKAGE, FEEDBACK, CORNER, GAIN, ENCODER = range(11)
+SPOOL, SPOOL_RATE, PRESSURE, SLOW, TRIM, STATES = range(6)
+
+
+class Legs(NamedTuple):
+    """The legs of n runs.
+
+    Attributes:
+        dt: [s]. feed: (n,). mass: (J, J). numbers: (n, 11). valve: (n, 2, 2) state transition of
+            the valve over a step. axes, inputs: addresses of joints and actuators; home: (J,).
+            state: (n, J, STATES).
+    """
+
+    dt: float
+    feed: NDArray[np.bool_]
+    mass: Array
+    numbers: Array
+    valve: Array
+    axes: NDArray[np.int64]
+    inputs: NDArray[np.int64]
+    home: Array
+    state: Array
+
+
+@njit(cache=True)
+def _push(legs, plan, sub, qpos, qvel, ctrl):
+    dt, mass, axes, home, valve = legs.dt, legs.mass, legs.axes, legs.home, legs.valve
+    joints = mass.shape[0]
+    for i in range(qpos.shape[0]):
+        p = legs.numbers[i]
+        area = p[AREA]
+        for j in range(joints):
+            x, s, v = legs.state[i, j], qpos[i, axes[0, j]] - home[j], qvel[i, axes[1, j]]
+            speed = p[GAIN] * (plan[i, sub, 0, j] - home[j] - quantised(s, p[ENCODER]))
+            speed -= p[FEEDBACK] * (x[PRESSURE] - x[SLOW]) / area
+            if legs.feed[i]:
+                force = 0.0
+                for k in range(joints):
+                    force += mass[j, k] * plan[i, sub, 2, k]
+                speed += plan[i, sub, 1, j] + (p[LEAKAGE] + p[FEEDBACK]) * force / (area * area)
+            command = min(max(speed * area / p[FLOW] + x[TRIM], -1.0), 1.0)
+            error, rate = x[SPOOL] - command, x[SPOOL_RATE]
+            x[SPOOL] = command + valve[i, 0, 0] * error + valve[i, 0, 1] * rate
+            x[SPOOL_RATE] = valve[i, 1, 0] * error + valve[i, 1, 1] * rate
+            opening = min(max(x[SPOOL], -1.0), 1.0)
+            drop = 1.0 - math.copysign(x[PRESSURE], opening * x[PRESSURE]) / p[SUPPLY]
+            flow = p[FLOW] * opening * math.sqrt(max(drop, 0.0))
+            half = 0.5 * p[LENGTH]
+            stiffness = p[MODULUS] * (
+                1.0 / (p[DEAD] + area * max(half + s, 0.0))
+                + 1.0 / (p[DEAD] + area * max(half - s, 0.0))
+            )
+            x[PRESSURE] = (x[PRESSURE] + dt * stiffness * (flow - area * v)) / (
+                1.0 + dt * stiffness * p[LEAKAGE]
+            )
+            x[SLOW] += (x[PRESSURE] - x[SLOW]) * p[CORNER]
+            ctrl[i, legs.inputs[j]] = area * x[PRESSURE]
+
+
+def _opening(flow: Array, pressure: Array, p: Array) -> Array:
+    """Valve opening [-] for a flow [m^3/s] against a load pressure [Pa]."""
+    drop = 1.0 - np.copysign(pressure, flow * pressure) / p[SUPPLY]
+    return flow / (p[FLOW] * np.sqrt(np.maximum(drop, 1e-6)))
+
+
+def held_over(bandwidth: float, damping_ratio: float, dt: float) -> Array:
+    """``(2, 2)`` state transition of error and rate of x'' = w^2 (u - x) - 2 zeta w x' over ``dt``
+    [s] with constant u.
+    """
+    from scipy.linalg import expm
+
+    w = 2.0 * math.pi * bandwidth
+    return np.asarray(
+        expm(np.array([[0.0, 1.0], [-w * w, -2.0 * damping_ratio * w]]) * dt), dtype=float
+    )
+
+
+class Hydraulic(Drives):
+    """Hydraulic drives of `n` runs.
+
+    Attributes:
+        cylinders: (n, J, STATES) spool opening [-] and its rate [1/s], load pressure and its slow
+            part [Pa], trim of the valve [-].
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs, stroke: float
+    ) -> None:
+        """``stroke`` [m]; the settings have a section ``drive``."""
+        super().__init__(model, kinematics, runs)
+        drives = [s.drive for s in runs.settings]
+        numbers = np.array([_numbers(d, stroke, self.step) for d in drives])
+        self.encoder = numbers[:, ENCODER]
+        self.cylinders = np.zeros((*self.load.shape, STATES))
+        valves = [held_over(d.valve.bandwidth, d.valve.damping_ratio, self.step) for d in drives]
+        self._legs = Legs(
+            dt=self.step,
+            feed=self.cycles.feed,
+            mass=np.ascontiguousarray(mass_matrix(kinematics, model)),
+            numbers=numbers,
+            valve=np.array(valves),
+            axes=self._axes,
+            inputs=self._inputs,
+            home=self._home,
+            state=self.cylinders,
+        )
+
+    def rest(self, qpos: Array, qvel: Array) -> None:
+        p = self._legs.numbers.T[..., None]
+        pressure = self.load / p[AREA]
+        flow = p[LEAKAGE] * pressure
+        moving = flow + p[AREA] * qvel[:, self._axes[1]]
+        x = np.moveaxis(self.cylinders, 2, 0)
+        x[PRESSURE], x[SLOW], x[SPOOL_RATE] = pressure, pressure, 0.0
+        x[TRIM], x[SPOOL] = _opening(flow, pressure, p), _opening(moving, pressure, p)
+        super().rest(qpos, qvel)
+
+    @cached_property
+    def _pushed(self) -> Call:
+        return Call(_push, self._legs, self.plan.steps, ..., GIVEN, GIVEN, GIVEN)
+
+    def feedback(self) -> Array:
+        return self.cylinders.reshape(len(self.cylinders), -1)
+
+
+def _numbers(drive: Any, stroke: float, step: float) -> list[float]:
+    """Parameters of a leg, in the order of the constants."""
+    corner = 1.0 - math.exp(-2.0 * math.pi * drive.feedback_corner * step)
+    return [
+        drive.area,
+        drive.supply,
+        drive.valve.flow,
+        drive.bulk_modulus,
+        drive.dead_volume,
+        stroke,
+        drive.leakage,
+        drive.pressure_feedback,
+        corner,
+        drive.gain,
+        drive.encoder_resolution,
+    ]

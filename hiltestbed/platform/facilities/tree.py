@@ -63,25 +63,31 @@ class JointTree(NamedTuple):
     unknown: Integers
 
     def towards_tools(self) -> JointTree:
-        """The bodies between the tools and the world: they determine the tools' motion."""
-        kept = {0}
-        for b in map(int, self.tools):
-            while b > 0:
-                kept.add(b)
-                b = int(self.bodies[b, 0])
-        order = sorted(kept)
+        """The moving bodies between the tools and the world: they determine the tools' motion. What
+        is fixed to one of them is a part of it.
+        """
+        tools = [
+            self._moving(int(b), frame)
+            for b, frame in zip(self.tools, self.tool_frames, strict=True)
+        ]
+        found: dict[int, tuple[int, Array]] = {0: (0, self.frames[0])}
+        for b, _ in tools:
+            while b not in found:
+                found[b] = self._moving(int(self.bodies[b, 0]), self.frames[b])
+                b = found[b][0]
+        order = sorted(found)
         new = {b: i for i, b in enumerate(order)}
         moved = [range(int(first), int(first + count)) for _, first, count in self.bodies[order]]
         chosen = [j for joints in moved for j in joints]
         starts = np.cumsum([0, *(len(joints) for joints in moved[:-1])])
-        parents = [new[int(self.bodies[b, 0])] for b in order]
+        parents = [new[found[b][0]] for b in order]
         joints = self.joints[chosen].reshape(-1, 4)
         joints[:, 1] = [new[int(b)] for b in joints[:, 1]]
         return self._replace(
             bodies=np.column_stack([parents, starts, [len(joints) for joints in moved]]).astype(
                 np.int64
             ),
-            frames=self.frames[order],
+            frames=np.array([found[b][1] for b in order]),
             masses=self.masses[order],
             joints=joints,
             axes=self.axes[chosen].reshape(-1, 7),
@@ -89,10 +95,19 @@ class JointTree(NamedTuple):
             loop_frames=self.loop_frames[:0],
             coupled=self.coupled[:0],
             polynomial=self.polynomial[:0],
-            tools=np.array([new[int(b)] for b in self.tools], dtype=np.int64),
+            tools=np.array([new[b] for b, _ in tools], dtype=np.int64),
+            tool_frames=np.array([frame for _, frame in tools]),
             prescribed=self.prescribed[:0],
             unknown=self.unknown[:0],
         )
+
+    def _moving(self, b: int, frame: Array) -> tuple[int, Array]:
+        """The moving body, or the world, that body ``b`` is fixed to, and there a ``frame`` (7,) of
+        ``b``.
+        """
+        while b > 0 and self.bodies[b, 2] == 0:
+            b, frame = int(self.bodies[b, 0]), compose(self.frames[b], frame)
+        return b, frame
 
 
 def build_tree(

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from hiltestbed.config.validation import NotNegative, Positive, Vector2
-from hiltestbed.platform.facilities.settings import Physical
+from hiltestbed.platform.kinds import Physical
 from hiltestbed.plugins import register
 
 

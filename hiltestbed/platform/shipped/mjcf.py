@@ -12,7 +12,7 @@ from pydantic import Field
 
 from hiltestbed.config.models import models_folder, stamp
 from hiltestbed.config.validation import ModelOrShipped, Positive
-from hiltestbed.platform.facilities.settings import CommandPath, Driven
+from hiltestbed.platform.kinds import CommandPath, Driven
 from hiltestbed.plugins import register
 
 

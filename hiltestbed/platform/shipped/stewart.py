@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from hiltestbed.config.validation import NotNegative, Positive, Strictly
-from hiltestbed.platform.facilities.settings import CommandPath, Driven, Friction, Ratio
+from hiltestbed.platform.kinds import CommandPath, Driven, Friction, Ratio
 from hiltestbed.plugins import register
 
 

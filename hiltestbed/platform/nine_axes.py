@@ -2,7 +2,7 @@
 pose.
 
 Over a tick the upper platform's coordinates follow the cubic that reaches the allocated ones
-(:mod:`hiltestbed.platform.prs3.allocation`) at t_(k+1) and leaves them with their velocity there.
+(:mod:`hiltestbed.platform.facilities.prs3`) at t_(k+1) and leaves them with their velocity there.
 It is clamped SETTLE after it has come to rest at home, and released as soon as it is commanded to
 move: docking takes place against a platform that cannot yield. The lower one is commanded to the
 resulting pose of A in W. Ports can touch only while the upper platform is clamped at home, where W
@@ -26,16 +26,42 @@ from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.contact.wrench import relate
 from hiltestbed.frames import Array, pose_compose, pose_step, twist_between
 from hiltestbed.platform.driven import ServoTracking
+from hiltestbed.platform.facilities.limbs import slider
+from hiltestbed.platform.facilities.motion import GRAVITY
+from hiltestbed.platform.facilities.prs3 import Upper, place, share
+from hiltestbed.platform.facilities.upper_drives import UpperDrives
 from hiltestbed.platform.ideal import IdealTracking
-from hiltestbed.platform.payload import GRAVITY
-from hiltestbed.platform.prs3.allocation import share
-from hiltestbed.platform.prs3.drives import UpperDrives, UpperMotion
-from hiltestbed.platform.prs3.geometry import Upper, inverse, place, slider
 
 if TYPE_CHECKING:
     from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 SETTLE = 0.1  # [s] after which an error of a critically damped 25 Hz loop has decayed to 3e-6
+
+
+class UpperMotion(NamedTuple):
+    """The motion of n upper platforms.
+
+    Attributes:
+        x, rate, speed: (n, 3) coordinates, their mean rate over the last tick, and the velocity of
+            the cubic at its end. still: (n,) ticks at home. away, was_away: (n,) bool, not clamped
+            in this tick and in the last one. xs: (n, m, 3) coordinates at the ends of the substeps.
+        planned (n, 7), slope (n, 6): P in W at the end, and its slope over the tick. sliders: (n,
+            3) at the end. reached (n, 7), twist (n, 6), slid (n, 3): these, or what drives reach.
+    """
+
+    x: Array
+    rate: Array
+    speed: Array
+    still: NDArray[np.int64]
+    away: NDArray[np.bool_]
+    was_away: NDArray[np.bool_]
+    xs: Array
+    planned: Array
+    slope: Array
+    sliders: Array
+    reached: Array
+    twist: Array
+    slid: Array
 
 
 @njit(cache=True)
@@ -73,7 +99,7 @@ def _plan(upper, h, settle, pose, diverged, motion):
             place(upper.shape, goal, planned[i])
             twist_between(before, planned[i], h, slope[i])
             for j in range(3):
-                sliders[i, j] = slider(upper.legs[j], planned[i], arm)
+                sliders[i, j] = slider(upper.limbs[j], planned[i], arm)
         else:
             slope[i] = 0.0
             sliders[i] = 0.0
@@ -104,7 +130,7 @@ class MovingUpper:
     """The upper platforms of `n` runs.
 
     Attributes:
-        motion: see :class:`UpperMotion`; while clamped, reached is exactly home. drives: None if
+        motion: while clamped, reached is exactly home. drives: None if
             they are not simulated.
         residual: (n, m, 6) residual of the payload in the sensor's reading, at the m instants of
             the tick, in P [N, N m].
@@ -114,6 +140,8 @@ class MovingUpper:
         first, n = scenarios[0], len(scenarios)
         self.tick, m = first.tick, first.substeps
         self._settle = math.ceil(SETTLE / first.tick)
+        servo = first.rig.upper.tracking == "servo"
+        self.drives = drives = UpperDrives(scenarios, nthread) if servo else None
         self.motion = UpperMotion(
             x=np.zeros((n, 3)),
             rate=np.zeros((n, 3)),
@@ -125,15 +153,13 @@ class MovingUpper:
             planned=np.zeros((n, 7)),
             slope=np.zeros((n, 6)),
             sliders=np.zeros((n, 3)),
-            reached=np.zeros((n, 7)),
-            twist=np.zeros((n, 6)),
-            slid=np.zeros((n, 3)),
+            reached=drives.pose if drives else np.zeros((n, 7)),
+            twist=drives.twist if drives else np.zeros((n, 6)),
+            slid=drives.joints if drives else np.zeros((n, 3)),
         )
-        servo = first.rig.upper.tracking == "servo"
-        self.drives = UpperDrives(scenarios, nthread, self.motion) if servo else None
         at = Upper.load(), self.tick, self._settle
         self._planned = Call(_plan, *at, GIVEN, GIVEN, self.motion)
-        self.residual = self.drives.residual if self.drives else np.zeros((n, m, 6))
+        self.residual = drives.residual if drives else np.zeros((n, m, 6))
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at the coordinates for the relative ``pose`` (n, 7) and ``twist`` (n, 6)."""
@@ -143,13 +169,15 @@ class MovingUpper:
         motion.away[:] = motion.was_away[:] = motion.x.any(axis=1)
         motion.still[:] = np.where(motion.away, 0, self._settle + 1)
         motion.reached[:], motion.twist[:] = motion.planned, motion.slope
-        interpreted(inverse)(upper.legs, motion.planned, motion.sliders)
+        arm = np.empty(3)
+        for pose_P, sliders in zip(motion.planned, motion.sliders, strict=True):
+            sliders[:] = [slider(limb, pose_P, arm) for limb in upper.limbs]
         motion.slid[:] = motion.sliders
         self.residual[:] = 0.0
         if self.drives:
             self.drives.left[:] = 0.0
             for i in range(len(pose)):
-                self.drives.settle(i, motion.x[i], motion.rate[i])
+                self.drives.start(i, motion.x[i], motion.rate[i])
 
     def advance(self, pose: Array, diverged: NDArray[np.bool_]) -> bool:
         """One tick towards the relative ``pose`` (n, 7); returns whether a run diverged."""
@@ -158,10 +186,10 @@ class MovingUpper:
             return False
         # now clamped: its next motion starts from home
         for i in np.flatnonzero(motion.was_away & ~motion.away & ~diverged):
-            drives.settle(int(i), np.zeros(3), np.zeros(3))
+            drives.start(int(i), np.zeros(3), np.zeros(3))
         motion.was_away[:] = motion.away
-        drives.run(np.flatnonzero(motion.away))
-        return drives.observe(diverged)
+        drives.run(motion.away, motion.xs)
+        return drives.look(motion.away, diverged)
 
 
 class Commands(NamedTuple):

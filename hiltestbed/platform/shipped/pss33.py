@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from hiltestbed.config.validation import NotNegative, Positive, Problem, Strictly, refuse
-from hiltestbed.platform.facilities.settings import CommandPath, Driven
+from hiltestbed.platform.kinds import CommandPath, Driven
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
@@ -186,7 +186,7 @@ class Pss33(Driven):
         import numpy as np
 
         from hiltestbed.frames import quat_from_attitude_deg, rotation_vectors
-        from hiltestbed.platform.prs3.allocation import LONGEST, lower_pose
+        from hiltestbed.platform.facilities.prs3 import LONGEST, lower_pose
 
         approach = scenario.approach
         reach, widest = self.workspace.translation, self.workspace.rotation_deg

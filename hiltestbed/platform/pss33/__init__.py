@@ -1,1 +1,0 @@
-"""The 3-3 PSS platform: six limbs, each a slider, a link and two spherical joints."""
