@@ -259,8 +259,8 @@ def _needed(
     trial: _Trial, chosen: PosteriorFit
 ) -> tuple[_Settled, frozenset[int], PosteriorFit | None]:
     """What is ``chosen`` without the causes that the data do not determine. Where the noise is not
-    known, those stay without which the left-out runs are predicted worse; then also those of which
-    the size may be none, and the fit without them.
+    known, those stay without which the left-out runs are predicted worse than by ``chosen``; then
+    also those of which the size may be none, and the fit without them, which predicts worse.
     """
     likelihood, judge = trial.likelihood, trial.judge
     fit, needed = trial.settled(chosen), 0
@@ -272,7 +272,7 @@ def _needed(
             fit, needed = trial.settled(fewer), 0
     while weak := frozenset(undetermined(fit, size_alone=True)):
         alone = _without_all(likelihood, fit.fit, weak)
-        if judge.worse(alone, fit.fit):
+        if judge.score(alone) > judge.score(fit.fit):
             return fit, weak, alone
         fit = trial.settled(alone)
     return fit, weak, None
