@@ -30,7 +30,7 @@ from hiltestbed.contact.mount import CARRIER
 from hiltestbed.contact.wrench import relate_one
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.motion import move, place, scratch, tool_pose, tool_twist
+from hiltestbed.platform.facilities.motion import move, place, placed, tool_pose, tool_twist
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
 
 MOUNT = "mount"
@@ -138,7 +138,7 @@ class Mover:
     @cached_property
     def _seen(self) -> Call:
         tree = self.kinematics.tree.towards_tools()
-        parts = tree, scratch(tree), self.readings, self.sides
+        parts = tree, placed(tree), self.readings, self.sides
         return Call(_observe, *parts, *(GIVEN,) * 4)
 
     def observing(

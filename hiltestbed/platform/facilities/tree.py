@@ -25,6 +25,17 @@ POINT, FRAME = 0, 1  # loops: two points coincide (3 rows), two frames coincide 
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
+class Chain(NamedTuple):
+    """What determines the tools' motion, of a :class:`JointTree`: what is read at every step."""
+
+    bodies: Integers
+    frames: Array
+    joints: Integers
+    axes: Array
+    tools: Integers
+    tool_frames: Array
+
+
 class JointTree(NamedTuple):
     """Constants of a kinematic tree of nb bodies, nj joints, nl loops, ne coupled joints, nt tools
     and np prescribed joints.
@@ -62,7 +73,7 @@ class JointTree(NamedTuple):
     prescribed: Integers
     unknown: Integers
 
-    def towards_tools(self) -> JointTree:
+    def towards_tools(self) -> Chain:
         """The moving bodies between the tools and the world: they determine the tools' motion. What
         is fixed to one of them is a part of it.
         """
@@ -83,22 +94,15 @@ class JointTree(NamedTuple):
         parents = [new[found[b][0]] for b in order]
         joints = self.joints[chosen].reshape(-1, 4)
         joints[:, 1] = [new[int(b)] for b in joints[:, 1]]
-        return self._replace(
+        return Chain(
             bodies=np.column_stack([parents, starts, [len(joints) for joints in moved]]).astype(
                 np.int64
             ),
             frames=np.array([found[b][1] for b in order]),
-            masses=self.masses[order],
             joints=joints,
             axes=self.axes[chosen].reshape(-1, 7),
-            loops=self.loops[:0],
-            loop_frames=self.loop_frames[:0],
-            coupled=self.coupled[:0],
-            polynomial=self.polynomial[:0],
             tools=np.array([new[b] for b, _ in tools], dtype=np.int64),
             tool_frames=np.array([frame for _, frame in tools]),
-            prescribed=self.prescribed[:0],
-            unknown=self.unknown[:0],
         )
 
     def _moving(self, b: int, frame: Array) -> tuple[int, Array]:
