@@ -462,12 +462,15 @@ class LinkModel(Model):
 
     def common_errors(self, of: Hypothesis) -> list[list[Array]]:
         """What a facility's integration makes of every run alike: a part of a row in time, and a
-        share of a force. What the facility has computed itself is known to its steps.
+        share of a force. What the facility has computed itself is known to its steps, but for the
+        delay of the filter through which readings went to the record.
         """
-        if not isinstance(self.link, (WrenchLink, PlatformLink)):
+        logged, computed = self.link.logged, not isinstance(self.link, (WrenchLink, PlatformLink))
+        if computed and logged is None:
             return []
         shown = self.link.predict([(i, of.each()) for i in self.members])
-        errors_of = [[TIME_ERROR * np.gradient(s, axis=0) for s in shown]]
+        late = math.hypot(0.0 if computed else TIME_ERROR, logged.delay_error if logged else 0.0)
+        errors_of = [[late * np.gradient(s, axis=0) for s in shown]]
         if isinstance(self.link, WrenchLink):
             errors_of.append([0.5 * self._model_differs() * s for s in shown])
         out = []
