@@ -50,13 +50,12 @@ EVEN_SIGMA = 1.0 / math.sqrt(3.0)
 # [rows] of an instant within a tick at which a facility samples or obeys
 LATEST_INSTANT = 0.5
 INSTANT_SIGMA = LATEST_INSTANT * EVEN_SIGMA
-# [rows] by which a stamp is late: a row, half a tick of an instant, and the error due to noise
-LATEST_STAMP = 1.55
+# [rows] by which a stamp is late: a row, half a tick of an instant, and the error of an integration
+LATEST_STAMP = 1.0 + LATEST_INSTANT + TIME_ERROR
 STAMP_STARTS = (-0.8, -0.3, 0.3, 0.8)  # [rows] of a search for an offset
 MOST_OLD = 0.9  # share of the old twist in a new pose; all of it is explicit Euler, a cause
 # share of what is left of a computed channel that follows its output, from which it departs
 FOLLOWING = 0.1
-TINY = 1e-300
 COLOUR_ORDER = 16  # of the filter that makes noise white
 # times the noise by third differences, up to which a residual outside contact may be noise of
 # another colour: a neighbour correlation of 0.9 and as much white noise have 1.4
@@ -417,7 +416,7 @@ class LinkModel(Model):
                     rate = np.gradient(y)
                     terms = (y, rate, np.gradient(rate), y * np.abs(y), np.abs(rate))
                     basis = np.column_stack(terms)
-                    bases.append(basis[rows] / (np.std(basis, axis=0) + TINY))
+                    bases.append(basis[rows] / (np.std(basis, axis=0) + np.finfo(float).tiny))
                     parts.append(np.clip(x, -UNKNOWN, UNKNOWN))
             if len(parts) < 2 or sum(float(x @ x) for x in parts) <= sum(map(len, parts)):
                 continue
@@ -463,12 +462,15 @@ class LinkModel(Model):
 
     def common_errors(self, of: Hypothesis) -> list[list[Array]]:
         """What a facility's integration makes of every run alike: a part of a row in time, and a
-        share of a force. What the facility has computed itself is known to its steps.
+        share of a force. What the facility has computed itself is known to its steps, but for the
+        delay of the filter through which readings went to the record.
         """
-        if not isinstance(self.link, (WrenchLink, PlatformLink)):
+        logged, computed = self.link.logged, not isinstance(self.link, (WrenchLink, PlatformLink))
+        if computed and logged is None:
             return []
         shown = self.link.predict([(i, of.each()) for i in self.members])
-        errors_of = [[TIME_ERROR * np.gradient(s, axis=0) for s in shown]]
+        late = math.hypot(0.0 if computed else TIME_ERROR, logged.delay_error if logged else 0.0)
+        errors_of = [[late * np.gradient(s, axis=0) for s in shown]]
         if isinstance(self.link, WrenchLink):
             errors_of.append([0.5 * self._model_differs() * s for s in shown])
         out = []

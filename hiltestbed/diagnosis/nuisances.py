@@ -23,7 +23,8 @@ from hiltestbed.frames import Array
 
 # chosen: of the polynomials; three quarters of a slow period are a quintic to half a percent
 BASELINE_DEGREE = 5
-MIN_BASELINE_ROWS = 60  # chosen: rows of a run, from which its baseline is estimated
+# of a run, from which its baseline is estimated: the scatter of ten rows a number, to a quarter
+MIN_BASELINE_ROWS = 10 * (1 + BASELINE_DEGREE)
 MAX_TONES = 6  # that are sought
 MIN_POWER_RATIO = 3.0  # chosen: times the power around it, in any case
 # chosen: independent values of the periodograms from which the power around a line is estimated: to

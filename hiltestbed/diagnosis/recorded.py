@@ -177,6 +177,7 @@ def compensation_link(layout: DatasetLayout, rows: Sequence[int]) -> Compensatio
     if (other := link.with_central_rates()) is not None:
         missed = [math.sqrt(CORRELATED_ROWS) * m for m in rms_differences(link, other)]
         link = CompensationLink(_less_certain(runs, missed), wrenches, records)
+    link.logged = layout.logged
     return link
 
 

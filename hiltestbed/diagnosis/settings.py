@@ -8,7 +8,7 @@ it is compared with changes. A *chosen* one is neither. Chi-square is in units o
 
 from __future__ import annotations
 
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 MIN_POSE_NOISE = 1e-9  # chosen: [m, rad] floor of a pose without noise: round-off of the file
 # chosen: rows of a computed channel that count as one sample, since its errors are smooth
@@ -17,7 +17,8 @@ CORRELATED_ROWS = 50
 MIN_NOISE_ROWS = 150
 # derived: standard deviations; one of 15,000 white records exceeds it by chance
 SIGNIFICANCE_SIGMA = 4.0
-SIGNIFICANCE_LEVEL = 3e-5  # derived: the same as a probability, for sums of a few squares
+# the same as a probability, for sums of a few squares
+SIGNIFICANCE_LEVEL = float(norm.sf(SIGNIFICANCE_SIGMA))
 # chi-square of one number that noise exceeds as rarely
 SIGNIFICANT = float(chi2.isf(SIGNIFICANCE_LEVEL, 1))
 # chosen: samples whose mean is tested as well: a smooth misfit far below the noise shows in it

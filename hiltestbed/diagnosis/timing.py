@@ -16,14 +16,12 @@ from dataclasses import dataclass
 
 from hiltestbed.analysis.ledger import contact_frequency
 from hiltestbed.diagnosis.explain import Explanation
-from hiltestbed.diagnosis.link_model import LATEST_INSTANT
+from hiltestbed.diagnosis.link_model import LATEST_INSTANT, TIME_ERROR
 from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.effects.base import Effect
 
-# chosen: [rows] two instants, each up to half a tick off, and the error due to noise
-MAX_UNNAMED_DELAY_ROWS = 1.05
-# [rows] by which a link is early, beyond the error of its fit: its input is stamped late
-HIDDEN_ROWS = 0.05
+# [rows] two instants, each up to half a tick off, and the error of an integration in steps
+MAX_UNNAMED_DELAY_ROWS = 2.0 * LATEST_INSTANT + TIME_ERROR
 STEP_DELAY = "dynamics.step_delay"
 DELAY_EFFECTS = ("platform.delay", "sensor.delay", "log.skew", STEP_DELAY, "dynamics.integrator")
 # delays in whole ticks: explicit Euler acts as one
@@ -74,8 +72,8 @@ def delays_not_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict
         return {}
     # stamps cancel around the loop
     taken_back = max(-sum(_stamp_shift_rows(e) for e in explanations.values()), 0.0)
-    # whole rows, of which the instants of the platform hide a part
-    whole = max(taken_back + 0.5, math.ceil(taken_back)) if taken_back > HIDDEN_ROWS else 0.0
+    # whole rows, of which the instants of the platform hide a part; beyond the error of a fit
+    whole = max(taken_back + 0.5, math.ceil(taken_back)) if taken_back > TIME_ERROR else 0.0
     out: dict[str, dict[str, float]] = {}
     for name, e in departing.items():
         for cause in e.causes:

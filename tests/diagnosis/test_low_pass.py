@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import signal
 
+from hiltestbed.diagnosis.find import judge
+from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.low_pass import LowPass, low_pass_between
 from hiltestbed.frames import Array
 from hiltestbed.replay.wrench import shifted
-from tests.slow import slow
+from tests.slow import SLOW, slow
+
+from .recorded import drawn
 
 ROWS, FINER = 1500, 16
 
@@ -98,3 +103,9 @@ def test_at_the_end_nothing_is_known_of_what_its_delay_was_taken_off() -> None:
 def test_where_no_row_is_known_there_is_nothing_to_find() -> None:
     assert low_pass_between([forces(1)], [forces(1)], [np.zeros(ROWS, dtype=bool)]) is None
     assert low_pass_between([], [], []) is None
+
+
+@SLOW
+def test_the_error_of_its_delay_is_no_late_record_though_all_runs_share_it(tmp_path: Path) -> None:
+    dataset = drawn(tmp_path, 601_261, noise=("anti_aliasing", 50.0))
+    assert judge(investigate(dataset)).verdict.verdict == "no_discrepancy"

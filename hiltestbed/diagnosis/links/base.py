@@ -16,6 +16,7 @@ from typing import Literal, Self
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
+from hiltestbed.diagnosis.low_pass import LowPass
 from hiltestbed.diagnosis.settings import PERTURBED_COPIES
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
@@ -111,6 +112,7 @@ class ModelLink(ABC):
         timing: of the facility, as far as it differs from the believed one.
         rounding: (N, 3) of each run, standard deviation of the rounding errors of the input's
             positions [m]; empty: there are none.
+        logged: the filter through which readings went to the record; None: none.
     """
 
     name: str
@@ -118,6 +120,7 @@ class ModelLink(ABC):
     runs: Sequence[LinkRun]
     timing: Timing = NO_SHIFT
     rounding: Sequence[Array] = ()
+    logged: LowPass | None = None
     computed: bool = False  # whether the output follows from the input without a delay or noise
 
     def with_rounding(self, rounding: Sequence[Array]) -> Self:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.stats import chi2
 
 from hiltestbed.diagnosis.certainty import Certainty, Profile
 from hiltestbed.diagnosis.report.evidence import counted, in_sigma, misfit
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 MEASURED, NOMINAL, EXTENDED, FLOOR, TOUCH = "#1b2530", "#d1495b", "#0b6e99", "#8a97a3", "#f6ead6"
 BAND_SIGMA = 2.0  # chosen: sigma
-CHI2_95 = 3.84  # derived: of chi-square, 95 % of one parameter
+CHI2_95 = float(chi2.isf(0.05, 1))  # of one parameter
 PROFILE_TOP = 5.0  # chosen: times CHI2_95: up to which a profile is drawn
 PROFILES_PER_ROW = 3  # in the figure
 MAX_SHOWN = 3  # channels and runs in a figure
