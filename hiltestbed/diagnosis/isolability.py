@@ -33,7 +33,7 @@ BISECTIONS = 8
 CERTAINTY = float(norm.ppf(0.95))  # standard deviations, of the odds with which a size shows
 
 
-class Sensitivity:
+class FisherInformation:
     """What effects change of the runs of a link, beside what its nuisances may."""
 
     def __init__(self, model: LinkModel, each: Sequence[Effects]) -> None:
@@ -75,7 +75,7 @@ class Sensitivity:
 
 def alike(products: Array) -> np.ndarray:
     """(E, E) whether what one of two effects changes beyond the other is worth less than the odds
-    at which two causes are told apart; products: (E, E) of :meth:`Sensitivity.of`.
+    at which two causes are told apart; products: (E, E) of :meth:`FisherInformation.of`.
     """
     own = np.maximum(np.diag(products), np.finfo(float).tiny)
     cosine = products / np.sqrt(np.outer(own, own))
@@ -90,7 +90,7 @@ def isolability(e: Explanation, progress: Progress | None = None) -> tuple[Isola
     model = e.timed()
     found = detectable(model, e.candidates, progress)
     seen = [s for s in found if s.size is not None]
-    same = alike(Sensitivity(model, [s.effects for s in seen]).of())
+    same = alike(FisherInformation(model, [s.effects for s in seen]).of())
     kinds = np.array([s.kind for s in seen])
     others = {s.kind: tuple(kinds[row]) for s, row in zip(seen, same, strict=True)}
     return tuple(
@@ -187,11 +187,11 @@ def detectable(
 
 
 def _squares(model: LinkModel, candidates: Sequence[Candidate], sizes: Sequence[float]) -> Array:
-    """:meth:`Sensitivity.squares` of each candidate at its size, from 0 (next to nothing) to 1 (the
+    """:meth:`FisherInformation.squares` of each candidate at its size, from 0 (next to nothing) to 1 (the
     largest that is searched).
     """
     effects = [[c.at(_at(c, size))] for c, size in zip(candidates, sizes, strict=True)]
-    return Sensitivity(model, effects).squares()
+    return FisherInformation(model, effects).squares()
 
 
 def _at(c: Candidate, size: float) -> Array:

@@ -28,7 +28,7 @@ from hiltestbed.diagnosis.further import (
     with_noise,
 )
 from hiltestbed.diagnosis.investigate import investigate
-from hiltestbed.diagnosis.isolability import Detectable, Sensitivity, alike, detectable
+from hiltestbed.diagnosis.isolability import Detectable, FisherInformation, alike, detectable
 from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.errors import HiltestbedError
@@ -113,7 +113,7 @@ class _LinkPlan:
 
     link: str
     shown: list[Detectable]
-    sensitivity: Sensitivity
+    sensitivity: FisherInformation
 
     def alike(self, runs: Sequence[int]) -> set[frozenset[str]]:
         """The pairs that look the same in these runs."""
@@ -153,7 +153,7 @@ def plan(task: Scenario | LoadedDataset, progress: Progress | None = None) -> Pl
         model = found.timed()
         every_effect = detectable(model.on(range(len(scenarios))), found.candidates, told)
         shown = [s for s in every_effect if s.size is not None]
-        known = _LinkPlan(name, shown, Sensitivity(model, [s.effects for s in shown]))
+        known = _LinkPlan(name, shown, FisherInformation(model, [s.effects for s in shown]))
         links.append((every_effect, known))
     own = range(len(scenarios))
     return Plan(
