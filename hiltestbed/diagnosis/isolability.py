@@ -187,8 +187,8 @@ def detectable(
 
 
 def _squares(model: LinkModel, candidates: Sequence[Candidate], sizes: Sequence[float]) -> Array:
-    """:meth:`FisherInformation.squares` of each candidate at its size, from 0 (next to nothing) to 1 (the
-    largest that is searched).
+    """:meth:`FisherInformation.squares` of each candidate at its size, from 0 (next to nothing) to
+    1 (the largest that is searched).
     """
     effects = [[c.at(_at(c, size))] for c, size in zip(candidates, sizes, strict=True)]
     return FisherInformation(model, effects).squares()

@@ -24,7 +24,7 @@ import numpy as np
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, cross, quat_mul, quat_normalise, rotate, rotate_back
 from hiltestbed.numerical_model.kernels import solve
-from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE, Chain, JointTree
+from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE, ToolPath, JointTree
 
 LOCAL = 27  # first number of the part of the work space that poses and velocities use
 SPARE = LOCAL + 15
@@ -56,7 +56,7 @@ class Scratch(NamedTuple):
     spare: Array
 
 
-class Placed(NamedTuple):
+class PoseScratch(NamedTuple):
     """The part of :class:`Scratch` that poses and velocities need."""
 
     poses: Array
@@ -65,11 +65,11 @@ class Placed(NamedTuple):
     spare: Array
 
 
-def placed(chain: Chain) -> Placed:
+def placed(chain: ToolPath) -> PoseScratch:
     """Work space for poses and velocities alone."""
     nb, nj = len(chain.bodies), len(chain.joints)
     poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (nb, 1))
-    return Placed(poses, np.zeros((nj, 6)), np.zeros((nb, 6)), np.zeros(SPARE))
+    return PoseScratch(poses, np.zeros((nj, 6)), np.zeros((nb, 6)), np.zeros(SPARE))
 
 
 def scratch(tree: JointTree) -> Scratch:

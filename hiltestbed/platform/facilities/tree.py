@@ -25,7 +25,7 @@ POINT, FRAME = 0, 1  # loops: two points coincide (3 rows), two frames coincide 
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
-class Chain(NamedTuple):
+class ToolPath(NamedTuple):
     """What determines the tools' motion, of a :class:`JointTree`: what is read at every step."""
 
     bodies: Integers
@@ -73,7 +73,7 @@ class JointTree(NamedTuple):
     prescribed: Integers
     unknown: Integers
 
-    def towards_tools(self) -> Chain:
+    def towards_tools(self) -> ToolPath:
         """The moving bodies between the tools and the world: they determine the tools' motion. What
         is fixed to one of them is a part of it.
         """
@@ -94,7 +94,7 @@ class JointTree(NamedTuple):
         parents = [new[found[b][0]] for b in order]
         joints = self.joints[chosen].reshape(-1, 4)
         joints[:, 1] = [new[int(b)] for b in joints[:, 1]]
-        return Chain(
+        return ToolPath(
             bodies=np.column_stack([parents, starts, [len(joints) for joints in moved]]).astype(
                 np.int64
             ),
