@@ -24,7 +24,7 @@ import numpy as np
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, cross, quat_mul, quat_normalise, rotate, rotate_back
 from hiltestbed.numerical_model.kernels import solve
-from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE, ToolPath, JointTree
+from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE, JointTree, ToolPath
 
 LOCAL = 27  # first number of the part of the work space that poses and velocities use
 SPARE = LOCAL + 15
