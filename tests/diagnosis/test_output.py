@@ -53,7 +53,7 @@ def diagnosis(dataset: MeasuredDataset, link: WrenchLink) -> Diagnosis:
         Ranked(("sensor.lag",), 300.0, "wrench"),
     )
     table = (
-        Isolable("sensor.delay", "delay", "s", 1e-5, ("log.skew",), 0.99),
+        Isolable("sensor.delay", "delay", "s", 1e-5, ("log.skew",)),
         Isolable("sensor.drift", "rate", "N/s", None),
     )
     series = link_series(link, NAMED)
