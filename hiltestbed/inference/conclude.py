@@ -134,24 +134,19 @@ class LeftOut:
         return sum(costs) / (2.0 * sum(float(left.counts.sum()) for _, left in self._folds))
 
     def worse(self, one: PosteriorFit, other: PosteriorFit) -> bool:
-        """Whether ``one`` predicts the left-out parts worse than the ``other``."""
-        return beyond_chance(self._log_rms(one) - self._log_rms(other))
+        """Whether ``one`` predicts the left-out parts worse than the ``other``: by more than
+        :data:`LEAST_GAIN`, and by more than a standard error of the difference over the parts (L.
+        Breiman, J. Friedman, R. Olshen, C. Stone, Classification and Regression Trees, 1984).
+        """
+        more = self._log_rms(one) - self._log_rms(other)
+        error = float(np.std(more, ddof=1)) / math.sqrt(len(more))
+        return float(np.mean(more)) > max(LEAST_GAIN, error)
 
     def _log_rms(self, found: PosteriorFit) -> Array:
         """(F,) logarithm of the rms of the residual of each left-out part."""
         pairs = zip(self.fits(found), self._folds, strict=True)
         each = [_rms(left.model.scored(f.of)) for f, (_, left) in pairs]
         return np.log(np.maximum(each, 1e-300))
-
-
-def beyond_chance(more: Array) -> bool:
-    """Whether the logarithms of an rms that one model leaves ``more`` than another on each of the
-    left-out parts (F,) say that it is worse: by more than :data:`LEAST_GAIN`, and by more than
-    a standard error over the parts (L. Breiman, J. Friedman, R. Olshen, C. Stone, Classification
-    and Regression Trees, 1984).
-    """
-    error = float(np.std(more, ddof=1)) / math.sqrt(len(more))
-    return float(np.mean(more)) > max(LEAST_GAIN, error)
 
 
 def _rms(parts: Sequence[Array]) -> float:

@@ -162,6 +162,10 @@ class Model(ABC):
             for f in range(FOLDS)
         ]
 
+    def halves(self) -> list[tuple[Model, Model]]:
+        """The model of one half of each run, and of the other, both ways."""
+        return [(Part(self, f, False, 2, 2), Part(self, f, True, 2, 2)) for f in range(2)]
+
     @abstractmethod
     def on(self, runs: Sequence[int]) -> Model:
         """The same model of some of what was :attr:`recorded`."""
@@ -177,18 +181,22 @@ FOLDS = 4  # parts of a run that are left out in turn, each of stretches all ove
 class Part(Model):
     """The rows of a model that one of :data:`FOLDS` folds leaves out, or all others: stretches of
     every run in turn, so that each fold holds all that the runs do. The model still predicts whole
-    runs.
+    runs. stretches, folds: of a run, by default the model's and :data:`FOLDS`.
     """
 
-    def __init__(self, whole: Model, fold: int, inside: bool) -> None:
+    def __init__(
+        self, whole: Model, fold: int, inside: bool, stretches: int = 0, folds: int = FOLDS
+    ) -> None:
         self.whole, self.fold, self.inside = whole, fold, inside
+        self._cut = stretches or whole.stretches, folds
         self.runs, self.floors, self.nuisances = whole.runs, whole.floors, whole.nuisances
         self.stretches, self.axes = whole.stretches, whole.axes
         self.noise_known = whole.noise_known
 
     def _rows(self, x: Array) -> Array:
-        block = np.arange(len(x)) * self.whole.stretches // len(x)
-        return x[(block % FOLDS == self.fold) == self.inside]
+        stretches, folds = self._cut
+        block = np.arange(len(x)) * stretches // len(x)
+        return x[(block % folds == self.fold) == self.inside]
 
     def residuals(self, of: Hypothesis) -> list[Array]:
         *left, priors = self.whole.residuals(of)
@@ -209,7 +217,7 @@ class Part(Model):
 
     def in_time(self) -> Model | None:
         moved = self.whole.in_time()
-        return None if moved is None else Part(moved, self.fold, self.inside)
+        return None if moved is None else Part(moved, self.fold, self.inside, *self._cut)
 
     def on(self, runs: Sequence[int]) -> Model:
-        return Part(self.whole.on(runs), self.fold, self.inside)
+        return Part(self.whole.on(runs), self.fold, self.inside, *self._cut)

@@ -116,8 +116,8 @@ def test_what_differs_between_runs_is_needed_and_its_size_is_not_determined():
 
 @pytest.mark.parametrize(
     ("seed", "verdict"),
-    [(3, "inconclusive"), (19, "unknown"), (48, "unknown")],
-    ids=["as at other paces", "better than at other paces", "better than a constant by chance"],
+    [(3, "inconclusive"), (19, "unknown"), (90, "unknown")],
+    ids=["as at other paces", "worse than a constant", "better on stretches by chance"],
 )
 def test_random_walks_are_no_response(seed, verdict):
     rng = np.random.default_rng(seed)
