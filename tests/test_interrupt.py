@@ -55,6 +55,28 @@ def test_ctrl_c_that_passed_through_an_exec_leaves_the_status_as_it_is(tmp_path:
     assert (done.returncode, done.stderr) == (1, b"")
 
 
+IN_AN_EXECUTOR = """
+import signal
+from concurrent.futures import Future
+from hiltestbed.process import interrupt
+interrupt.install()
+def work(future):
+    signal.raise_signal(signal.SIGINT)
+    print("whole")
+future = Future()
+future.set_result(None)
+try:
+    future.add_done_callback(work)
+    print("after it")
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def test_ctrl_c_inside_an_executor_waits_until_it_has_left_its_locks() -> None:
+    assert ended(IN_AN_EXECUTOR) == (0, "whole\ninterrupted\n", "")
+
+
 COMPILING = """
 import os, time
 from hiltestbed.process import interrupt

@@ -10,9 +10,10 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
+from queue import SimpleQueue
 
 from hiltestbed.campaign.cases import ChunkResult, run_chunk
 from hiltestbed.campaign.schema import LoadedCampaign
@@ -64,19 +65,21 @@ def _until_broken(
     """Yields results until all is done or a worker dies; returns the chunks in progress then."""
     pool = Workers(workers)
     running: dict[Future[ChunkResult], Chunk] = {}
+    ended: SimpleQueue[Future[ChunkResult]] = SimpleQueue()  # a Ctrl-C ends the wait for it at once
     next_up = list(again)
     try:
         while True:
             next_up += islice(waiting, max(0, 2 * workers - len(running) - len(next_up)))
             while next_up:
-                running[pool.submit(run_chunk, campaign, next_up[0])] = next_up[0]
-                next_up.pop(0)
+                future = pool.submit(run_chunk, campaign, next_up[0])
+                running[future] = next_up.pop(0)
+                future.add_done_callback(ended.put)
             if not running:
                 return ()
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                result = future.result()
-                del running[future]
-                yield result
+            future = ended.get()
+            result = future.result()
+            del running[future]
+            yield result
     except BrokenProcessPool:
         return (*running.values(), *next_up)
     finally:

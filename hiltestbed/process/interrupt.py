@@ -3,7 +3,8 @@
 A KeyboardInterrupt inside a compiled import appears as an ImportError; inside a compiler's callback
 it is printed and lost, or crashes the process. Ctrl-C is therefore recorded here: long tasks call
 `check` regularly, an error that follows a Ctrl-C is attributed to it, and while LLVM is compiling
-the exception is deferred.
+the exception is deferred. So it is inside an executor: raised where that takes a lock, it leaves
+the lock taken, and the threads that wait for it never end.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from typing import Any
 
 # from the terminal (Ctrl-C, Ctrl-\\, its window closed), a scheduler or a service manager
 ENDING = ("SIGINT", "SIGQUIT", "SIGHUP", "SIGTERM")
-COMPILERS = ("llvmlite", "numba.core.codegen")  # modules that call LLVM and are called back by it
+# modules that call LLVM and are called back by it, and that hold locks
+DEFERRING = ("llvmlite", "numba.core.codegen", "concurrent.futures")
 
 _asked = False
 
@@ -67,21 +69,21 @@ def _on_signal(number: int, frame: FrameType | None) -> None:
     _asked = True
     if number != signal.SIGINT:  # a second one must not interrupt what the first has begun
         signal.signal(number, signal.SIG_IGN)
-    if not _compiling(frame):
+    if not _deferring(frame):
         raise KeyboardInterrupt
     sys.setprofile(_on_return)
 
 
 def _on_return(frame: FrameType, event: str, argument: Any) -> None:
-    """Raises the deferred KeyboardInterrupt as soon as a compiler returns to its caller."""
-    if event == "return" and _compiling(frame) and not _compiling(frame.f_back):
+    """Raises the deferred KeyboardInterrupt as soon as a module that defers it returns."""
+    if event == "return" and _deferring(frame) and not _deferring(frame.f_back):
         sys.setprofile(None)
         raise KeyboardInterrupt
 
 
-def _compiling(frame: FrameType | None) -> bool:
+def _deferring(frame: FrameType | None) -> bool:
     while frame is not None:
-        if str(frame.f_globals.get("__name__")).startswith(COMPILERS):
+        if str(frame.f_globals.get("__name__")).startswith(DEFERRING):
             return True
         frame = frame.f_back
     return False
