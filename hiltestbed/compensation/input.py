@@ -79,13 +79,10 @@ class InputDeadZone:
 def _dead(reading, width, where, behind, out):
     for i in range(reading.shape[0]):
         w = width[i] if (where[i] == AFTER) == behind else 0.0
-        small = False
-        if where[i] == MAGNITUDE and not behind:
-            small = reading[i, 0] ** 2 + reading[i, 1] ** 2 + reading[i, 2] ** 2 < w * w
+        whole = where[i] == MAGNITUDE and not behind
+        small = reading[i, 0] ** 2 + reading[i, 1] ** 2 + reading[i, 2] ** 2 < w * w
         for j in range(6):
-            cut = (
-                small if where[i] == MAGNITUDE and not behind else j < 3 and abs(reading[i, j]) < w
-            )
+            cut = small if whole else j < 3 and abs(reading[i, j]) < w
             out[i, j] = 0.0 if cut else reading[i, j]
 
 

@@ -43,7 +43,6 @@ class MotionCommand:
         self._velocity = np.zeros((n, 6))
         self._accel = np.zeros((n, 6))
         self._jerk = np.zeros((n, 6))
-
         self._pass_pose = Call(
             _pass_pose,
             GIVEN,

@@ -297,8 +297,7 @@ def _confirmed(
         if cause.sigma is not None or likelihood.model.negligible(fit.of, i):
             continue
         fewer = without(likelihood, fit, i)
-        known = trial.known
-        worse = _more_left(likelihood, fewer, fit) if known else judge.score(fewer) - score
+        worse = _more_left(likelihood, fewer, fit) if trial.known else judge.score(fewer) - score
         others, probability = _rivals(likelihood, fit, i, fewer, candidates)
         gain = 1.0 - math.exp(-worse)
         said = cause, estimates, gain, probability, tuple(others), tuple(others.values())

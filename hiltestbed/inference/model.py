@@ -157,14 +157,15 @@ class Model(ABC):
 
     def stretch_folds(self) -> list[tuple[str, Model, Model]]:
         """The folds of few runs: stretches of all of them."""
+        cut = Cut(self.stretches, FOLDS)
         return [
-            (f"stretches {f + 1} of {FOLDS}", Part(self, f, False), Part(self, f, True))
+            (f"stretches {f + 1} of {FOLDS}", Part(self, cut, f, False), Part(self, cut, f, True))
             for f in range(FOLDS)
         ]
 
     def halves(self) -> list[tuple[Model, Model]]:
         """The model of one half of each run, and of the other, both ways."""
-        return [(Part(self, f, False, 2, 2), Part(self, f, True, 2, 2)) for f in range(2)]
+        return [(Part(self, HALVES, f, False), Part(self, HALVES, f, True)) for f in range(2)]
 
     @abstractmethod
     def on(self, runs: Sequence[int]) -> Model:
@@ -178,25 +179,30 @@ class Model(ABC):
 FOLDS = 4  # parts of a run that are left out in turn, each of stretches all over it
 
 
+class Cut(NamedTuple):
+    """Of every run: into how many stretches, which belong to so many folds in turn."""
+
+    stretches: int
+    folds: int
+
+
+HALVES = Cut(2, 2)
+
+
 class Part(Model):
-    """The rows of a model that one of :data:`FOLDS` folds leaves out, or all others: stretches of
-    every run in turn, so that each fold holds all that the runs do. The model still predicts whole
-    runs. stretches, folds: of a run, by default the model's and :data:`FOLDS`.
+    """The rows of a model that one fold of a cut leaves out, or all others: with several stretches
+    a fold, each holds all that the runs do. The model still predicts whole runs.
     """
 
-    def __init__(
-        self, whole: Model, fold: int, inside: bool, stretches: int = 0, folds: int = FOLDS
-    ) -> None:
-        self.whole, self.fold, self.inside = whole, fold, inside
-        self._cut = stretches or whole.stretches, folds
+    def __init__(self, whole: Model, cut: Cut, fold: int, inside: bool) -> None:
+        self.whole, self.cut, self.fold, self.inside = whole, cut, fold, inside
         self.runs, self.floors, self.nuisances = whole.runs, whole.floors, whole.nuisances
         self.stretches, self.axes = whole.stretches, whole.axes
         self.noise_known = whole.noise_known
 
     def _rows(self, x: Array) -> Array:
-        stretches, folds = self._cut
-        block = np.arange(len(x)) * stretches // len(x)
-        return x[(block % folds == self.fold) == self.inside]
+        block = np.arange(len(x)) * self.cut.stretches // len(x)
+        return x[(block % self.cut.folds == self.fold) == self.inside]
 
     def residuals(self, of: Hypothesis) -> list[Array]:
         *left, priors = self.whole.residuals(of)
@@ -217,7 +223,7 @@ class Part(Model):
 
     def in_time(self) -> Model | None:
         moved = self.whole.in_time()
-        return None if moved is None else Part(moved, self.fold, self.inside, *self._cut)
+        return None if moved is None else Part(moved, self.cut, self.fold, self.inside)
 
     def on(self, runs: Sequence[int]) -> Model:
-        return Part(self.whole.on(runs), self.fold, self.inside, *self._cut)
+        return Part(self.whole.on(runs), self.cut, self.fold, self.inside)
