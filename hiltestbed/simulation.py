@@ -14,6 +14,7 @@ from hiltestbed.analysis.limits import verdict
 from hiltestbed.analysis.metrics import ContactFigures
 from hiltestbed.analysis.outcome import MovingParts
 from hiltestbed.analysis.stability import stability
+from hiltestbed.build import runnable
 from hiltestbed.compensation.resynchronised.drive import ResynchronisedDrive
 from hiltestbed.config.budget import refuse_beyond, run_budget
 from hiltestbed.config.sense import warnings
@@ -28,7 +29,7 @@ from hiltestbed.loop import Loop
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.run_folder.result import Run
 from hiltestbed.run_folder.versions import versions
-from hiltestbed.scenario import Scenario, scenario_from, scenario_sha256
+from hiltestbed.scenario import Scenario, resolved, scenario_from, scenario_sha256
 from hiltestbed.scenario.monitoring import ContactEstimate
 from hiltestbed.signals import AXES, JOINT, Trace
 from hiltestbed.supervision.snapshot import Snapshot, Snapshots
@@ -60,7 +61,7 @@ class Batch:
 def run(scenario: Scenario, progress: Progress | None = None, nthread: int = 1) -> Run:
     """Run one scenario, with its trace, its reference, and its stability in a contact."""
     done = run_batch([scenario], trace=True, progress=progress, nthread=nthread)[0]
-    done.summary["stability"] = stability(scenario)
+    done.summary["stability"] = stability(done.scenario)
     return done
 
 
@@ -74,8 +75,10 @@ def run_batch(
     """Run scenarios of the same structure in lockstep, each with its reference: the same without
     delay and with ideal tracking.
 
-    A run's result does not depend on the others in its batch.
+    A run's result does not depend on the others in its batch. Raises InputError if the models of a
+    scenario cannot run.
     """
+    scenarios = [runnable(s) for s in scenarios]
     batch = simulate(scenarios, trace=trace, progress=progress, nthread=nthread)
     references = [reference_scenario(s) for s in scenarios]
     names = [scenario_sha256(reference) for reference in references]
@@ -203,7 +206,7 @@ def reference_scenario(scenario: Scenario) -> Scenario:
     Effects of the contact itself are kept; those of the rig, the sensor and the numerical model are
     removed.
     """
-    data = scenario.model_dump(mode="json") | {"name": "reference", "description": "", "seed": 0}
+    data = resolved(scenario) | {"name": "reference", "description": "", "seed": 0}
     data["sensor"] = {}
     data["compensation"] = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
     data["identification"] = {"kind": "none"}

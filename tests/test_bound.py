@@ -11,7 +11,7 @@ import pytest
 from numba import njit, typeof
 
 from hiltestbed.compiled.bound import GIVEN, Bound, Call, bound
-from hiltestbed.compiled.jit import _by_fields
+from hiltestbed.compiled.dispatch import _by_fields
 from hiltestbed.compiled.state import arrays_of
 
 

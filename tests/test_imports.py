@@ -133,3 +133,17 @@ def test_whatever_is_imported_first_the_table_of_methods_is_whole(first: str) ->
         f"import hiltestbed.{first}, hiltestbed as h; h.load_scenario('26-force-compensation')"
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_a_scenario_is_loaded_without_the_physics() -> None:
+    """Of every shipped scenario: keys and numbers, no MuJoCo, Pinocchio or compiled code."""
+    program = (
+        "import sys, hiltestbed; from hiltestbed.config.gallery import scenario_names\n"
+        "loaded = [hiltestbed.load_scenario(name) for name in scenario_names()]\n"
+        "heavy = ('numba', 'mujoco', 'pinocchio', 'scipy')\n"
+        "print(len(loaded) > 20, [name for name in heavy if name in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "True []"

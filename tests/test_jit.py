@@ -41,7 +41,7 @@ def of_module(x):
     return laws.FACTOR * x
 
 
-print(force(1.0), constant(1.0), of_module(1.0), *(sum(f.stats.cache_hits.values()) for f in (force, constant, of_module)))
+print(force(1.0), constant(1.0), of_module(1.0), *(sum(f.dispatcher.stats.cache_hits.values()) for f in (force, constant, of_module)))
 """
 
 
@@ -82,7 +82,7 @@ def twice(p):
     return 2.0 * p.factor
 
 
-print(twice({name}(1.5)), sum(twice.stats.cache_hits.values()))
+print(twice({name}(1.5)), sum(twice.dispatcher.stats.cache_hits.values()))
 """
 
 

@@ -22,12 +22,13 @@ from hiltestbed.analysis.spring_damper import SpringDamper, reduced_mass
 from hiltestbed.axis.arm_mjcf import arm_mjcf
 from hiltestbed.axis.dataset import ArmDataset, AxisDataset, arm_of, is_axis
 from hiltestbed.axis.mjcf import axis_mjcf, axis_model, listed, mjcf_text, number
+from hiltestbed.build import runnable_from
 from hiltestbed.config.validation import validate
 from hiltestbed.config.yaml_source import read_source
 from hiltestbed.effects import EFFECTS, Effect
 from hiltestbed.errors import InputError
 from hiltestbed.platform.effects.response import LAG_DAMPING
-from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.scenario import Scenario
 
 DIAGNOSIS, EXTENDED = "diagnosis.json", "extended.yaml"
 LIGHT = 1e-6  # [kg] of the active port, on which the sensor reads the force
@@ -103,7 +104,7 @@ def exported(folder: Path) -> Exported:
             found = axis_mjcf(validate(AxisDataset, source), head)
         text, said, unsaid = found
         return Exported(text, tuple(said), tuple(unsaid))
-    return _rig(scenario_from(source), head)
+    return _rig(runnable_from(source), head)
 
 
 def _rig(s: Scenario, head: Sequence[str]) -> Exported:

@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.build import runnable_from
 from hiltestbed.compensation.motion import MotionCommand
 from hiltestbed.frames import Array, rotation_vectors
 from hiltestbed.platform.plant import Plant
-from hiltestbed.scenario import Scenario, resolved, scenario_from
+from hiltestbed.scenario import Scenario, resolved
 
 Complex = NDArray[np.complex128]
 LINES = 100  # [Hz] sines at 1, 2, ... Hz
@@ -155,7 +156,7 @@ def _quiet(scenario: Scenario) -> str:
 
 @lru_cache(maxsize=64)
 def _measured(scenario: str, axes: tuple[int, ...]) -> SixAxisResponse:
-    return _measure(scenario_from(json.loads(scenario)), axes)
+    return _measure(runnable_from(json.loads(scenario)), axes)
 
 
 class _Pushes:

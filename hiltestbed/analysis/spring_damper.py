@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.errors import InputError
@@ -87,6 +86,8 @@ class SpringDamper:
         """[s] of the force, beyond which a bounce gains speed (CoR = 1); 0 without damping."""
         if self.damping == 0.0:
             return 0.0
+
+        from scipy.optimize import brentq
 
         def gain(delay: float) -> float:
             return self.late_cor(delay) - 1.0
@@ -172,6 +173,8 @@ def with_cor(stiffness: float, cor: float, mass: float) -> SpringDamper:
             f"--cor: must be above 0 and at most 1 (got {cor:g}); no spring and damper makes a "
             f"rebound faster than its approach"
         )
+    from scipy.optimize import brentq
+
     unit = 2.0 * math.sqrt(stiffness * mass)  # [N s/m] of critical damping
 
     def off(ratio: float) -> float:

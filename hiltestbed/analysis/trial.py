@@ -47,6 +47,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.analysis.metrics import along_impulse
 from hiltestbed.analysis.rig_response import RigResponse
+from hiltestbed.build import runnable_from
 from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.contact.directions import Direction, acting_along_z, time_of_touch
 from hiltestbed.contact.sides import sides_of
@@ -54,7 +55,7 @@ from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, attitude_deg_from_quat, pose_step
 from hiltestbed.loop import Loop
 from hiltestbed.numerical_model.bodies import approach_state, effective_mass, mobility
-from hiltestbed.scenario import Scenario, resolved, scenario_from
+from hiltestbed.scenario import Scenario, resolved
 
 LEAD = (0.1, 1.0)  # [s] of uniform motion before the touch, minimum and maximum
 APPROACH = 5e-3  # [m] of uniform motion before the touch
@@ -171,7 +172,7 @@ class FirstContact:
                 "upper": data["rig"]["upper"] | {"tracking": "ideal"},
             }
             changed["compensation"]["motion"] = {"kind": "none"}
-        return scenario_from(data | changed)
+        return runnable_from(data | changed)
 
 
 def first_contact(

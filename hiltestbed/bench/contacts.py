@@ -11,10 +11,11 @@ import numpy as np
 
 from hiltestbed.analysis.metrics import ContactFigures
 from hiltestbed.bench.contenders import Briefing
+from hiltestbed.build import runnable_from
 from hiltestbed.frames import Array
 from hiltestbed.loop import Loop
 from hiltestbed.numerical_model.bodies import effective_mass
-from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.scenario import Scenario
 from hiltestbed.signals import Trace
 
 FREQUENCIES = (1.0, 2.0, 4.0, 8.0)  # [Hz]
@@ -128,7 +129,7 @@ class BenchContact:
             "identification": identification or {"kind": "rls"},
             "effects": effects[self.delay_knowledge],
         }
-        return scenario_from(data, self.changes)
+        return runnable_from(data, self.changes)
 
 
 def _body(mass: float, port: list[float]) -> dict[str, Any]:

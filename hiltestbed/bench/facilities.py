@@ -18,12 +18,13 @@ import numpy as np
 from hiltestbed.analysis.stability import measured_response, stability
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.bench.throughput import side_by_side
+from hiltestbed.build import runnable_from
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.platform.build import facility_of
 from hiltestbed.platform.facilities.measure import workspace
 from hiltestbed.platform.kinds import PLATFORMS
 from hiltestbed.report.page import Report, new_figure
-from hiltestbed.scenario import Scenario, load_scenario, resolved, scenario_from
+from hiltestbed.scenario import Scenario, load_scenario, resolved
 from hiltestbed.simulation import log_error, reference_scenario, simulate
 
 DELAY = 0.002  # [s] of the force sensor
@@ -92,7 +93,7 @@ def treated(
 ) -> Scenario:
     """A scenario with another compensation."""
     changed = {"compensation": compensation, "identification": {"kind": identification}}
-    return scenario_from(resolved(scenario) | changed)
+    return runnable_from(resolved(scenario) | changed)
 
 
 def treatments(scenario: Scenario) -> dict[str, tuple[dict[str, Any], str]]:

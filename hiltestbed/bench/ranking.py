@@ -16,12 +16,13 @@ from typing import Any
 
 from hiltestbed.bench.contenders import Briefing, contenders
 from hiltestbed.bench.result import BenchResult
+from hiltestbed.build import runnable_from
 from hiltestbed.compensation.settings import MOTION_METHODS
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.report.page import Report, new_figure
-from hiltestbed.scenario import Scenario, resolved, scenario_from
+from hiltestbed.scenario import Scenario, resolved
 from hiltestbed.simulation import Batch, log_error, reference_scenario, simulate
 
 UNKNOWN = 0.2  # of sensor.delay: that by which `bench cor` lets the known delay be wrong
@@ -130,9 +131,9 @@ def _measured(scenario: Scenario, reference: Batch, row: RankedMethod) -> Ranked
     data = resolved(scenario) | {"compensation": row.section}
     late = {"kind": "sensor.delay", "delay": UNKNOWN * scenario.sensor.delay}
     try:
-        scenarios = [scenario_from(data)]
+        scenarios = [runnable_from(data)]
         if late["delay"] > 0.0:
-            scenarios.append(scenario_from(data | {"effects": [*data["effects"], late]}))
+            scenarios.append(runnable_from(data | {"effects": [*data["effects"], late]}))
         # each alone: what an effect adds to the structure need not be that of the other
         runs = [simulate([one]) for one in scenarios]
     except HiltestbedError as error:

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hiltestbed.build import runnable_from
 from hiltestbed.campaign.columns import row
 from hiltestbed.campaign.schema import Campaign, Grid, LoadedCampaign, Sobol
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.frames import Array
-from hiltestbed.scenario import Scenario, resolved, scenario_from
+from hiltestbed.scenario import Scenario, resolved
 from hiltestbed.signals import GROUPS, RunTrace, groups
 
 if TYPE_CHECKING:
@@ -139,7 +140,7 @@ def _skeletons(campaign: LoadedCampaign, key: str, values: Iterable[Any]) -> set
     found = set()
     for value in values:
         try:
-            found.add(skeleton(scenario_from(campaign.source, {key: value})))
+            found.add(skeleton(runnable_from(campaign.source, {key: value})))
         except InputError:
             continue
     return found
@@ -163,7 +164,7 @@ def run_chunk(campaign: LoadedCampaign, cases: Sequence[int]) -> ChunkResult:
     scenarios: list[tuple[int, Scenario]] = []
     for case in cases:
         try:
-            scenarios.append((case, scenario_from(campaign.source, values[case])))
+            scenarios.append((case, runnable_from(campaign.source, values[case])))
         except InputError as error:
             result.rows.append(row(campaign.spec, case, values[case], None, str(error), None))
     for group in lockstep_groups(scenarios, _group_size(campaign, scenarios)):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.analysis.spring_damper import SpringDamper
+from hiltestbed.build import runnable_from
 from hiltestbed.campaign.columns import CaseGroup
 from hiltestbed.campaign.schema import LoadedCampaign, Variation
 from hiltestbed.config.validation import description_of
@@ -19,7 +20,7 @@ from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.report.curves import PALETTE
 from hiltestbed.report.page import new_figure
-from hiltestbed.scenario import Scenario, resolved, scenario_from
+from hiltestbed.scenario import Scenario, resolved
 from hiltestbed.sensor.parameters import SensorParameters
 
 HARMLESS = (
@@ -252,7 +253,7 @@ def _boundary(
     for j, i in np.ndindex(MESH, MESH):
         try:
             changed = {keys[0]: float(x[i]), keys[1]: float(y[j])}
-            scenario = scenario_from(campaign.source, changed)
+            scenario = runnable_from(campaign.source, changed)
             margins[:, j, i] = boundary_margin(scenario) if boundary_applies(scenario) else np.nan
         except InputError:
             continue

@@ -10,10 +10,11 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
+from hiltestbed.build import runnable_from
 from hiltestbed.config.validation import Problem, Strictly, Vector2, refuse, validate
 from hiltestbed.config.yaml_source import Source, key_path, read_source, referenced_source
 from hiltestbed.errors import Fault, InputError
-from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.scenario import Scenario
 
 Figure = Literal[  # shown in a report
     "cor",
@@ -248,7 +249,7 @@ def campaign_from(source: Source) -> LoadedCampaign:
     base = referenced_source(source)
     try:
         base = base.with_set(spec.set)
-        nominal = scenario_from(base)
+        nominal = runnable_from(base)
     except InputError as error:
         raise InputError([source.relocated(fault, ("set",)) for fault in error.faults]) from None
     faults = [
@@ -265,7 +266,7 @@ def _key_faults(source: Source, base: Source, key: str, variation: Variation) ->
     """Tests every listed value, or the ends of a range, alone; combinations when they run."""
     for index, value in enumerate(_probes(variation)):
         try:
-            scenario_from(base, {key: value})
+            runnable_from(base, {key: value})
         except InputError as error:
             below = (variation.kind, index) if variation.kind != "normal" else (variation.kind,)
             for fault in error.faults:

@@ -24,6 +24,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from hiltestbed.build import runnable_from
 from hiltestbed.campaign.cases import ChunkResult
 from hiltestbed.campaign.columns import schema, table
 from hiltestbed.campaign.schema import LoadedCampaign
@@ -33,7 +34,7 @@ from hiltestbed.errors import InputError, printable
 from hiltestbed.run_folder.folders import parquet_table
 from hiltestbed.run_folder.store import MODELS, keep_file, sync
 from hiltestbed.run_folder.versions import provenance
-from hiltestbed.scenario import file_sha256, identity, put, scenario_from
+from hiltestbed.scenario import file_sha256, identity, put
 
 ABOUT, CHUNKS, CASES, KEPT, LOCK = "campaign.json", "chunks", "cases.parquet", "cases", ".lock"
 CAMPAIGN, SCENARIO = "campaign.yaml", "scenario.yaml"
@@ -59,7 +60,7 @@ def varied_files(campaign: LoadedCampaign) -> dict[tuple[str, int], tuple[Path, 
     for key, variation in campaign.spec.vary.items():
         for k, value in enumerate(variation.values or ()):
             if isinstance(value, str):
-                files = user_files(scenario_from(campaign.source, {key: value}))
+                files = user_files(runnable_from(campaign.source, {key: value}))
                 if key_path(key) in files:
                     found[key, k] = files[key_path(key)]
     return found

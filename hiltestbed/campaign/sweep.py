@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hiltestbed.build import runnable_from
 from hiltestbed.campaign import engines
 from hiltestbed.campaign.cases import case_values, structural_keys
 from hiltestbed.campaign.schema import LoadedCampaign, load_campaign
@@ -20,7 +21,7 @@ from hiltestbed.campaign.store import CASES, Store, read_about, refuse_another
 from hiltestbed.config.yaml_source import key_path
 from hiltestbed.errors import InputError, MissingExtra
 from hiltestbed.run_folder.folders import html_table, parquet_table, safe_name
-from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.scenario import Scenario
 from hiltestbed.scenario.idle import idle_keys
 
 if TYPE_CHECKING:
@@ -176,7 +177,7 @@ def case_scenario(
             f"--case {case}: is no case of {campaign.path}; allowed are 0 to "
             f"{campaign.spec.cases - 1}"
         )
-    return scenario_from(campaign.source.with_set(case_values(campaign.spec, [case])[0]), overrides)
+    return runnable_from(campaign.source.with_set(case_values(campaign.spec, [case])[0]), overrides)
 
 
 def varied_in_vain(campaign: LoadedCampaign) -> tuple[str, ...]:

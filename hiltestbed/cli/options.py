@@ -118,6 +118,7 @@ def overrides(sets: list[str] | None) -> dict[str, Any]:
 
 def read_scenario(file: Path, sets: list[str] | None, case: int | None = None) -> Scenario:
     """The scenario in a file, or a campaign's case. Raises InputError naming another kind."""
+    from hiltestbed.build import runnable_from
     from hiltestbed.compiled.warm import tell_of_compiling
     from hiltestbed.config.check import file_kind
     from hiltestbed.config.gallery import (
@@ -127,7 +128,6 @@ def read_scenario(file: Path, sets: list[str] | None, case: int | None = None) -
         scenario_names,
     )
     from hiltestbed.config.yaml_source import read_source
-    from hiltestbed.scenario import scenario_from
 
     tell_of_compiling()
     refuse_unknown(file, scenario_names() if case is None else campaign_names())
@@ -155,4 +155,4 @@ def read_scenario(file: Path, sets: list[str] | None, case: int | None = None) -
                 f"`hiltestbed {other}`",
             )
         )
-    return scenario_from(source, overrides(sets))
+    return runnable_from(source, overrides(sets))

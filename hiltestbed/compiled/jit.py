@@ -1,90 +1,45 @@
-"""Numba's ``njit``, with cached kernels that are recompiled whenever anything that they depend on
-has changed.
+"""Kernels: functions that Numba compiles when they are first called.
 
-Numba keeps a compiled kernel as long as the file of its function is unchanged. The functions that
-it calls and the constants that it reads
-are compiled into it: if they are in another file, an updated program would continue with the old
-ones. Here a kernel is marked by its own code, all kernels that it calls, and the values of all
-constants that any of them reads.
+A module that defines kernels is imported without Numba, so that what only reads settings does not
+wait for it. :mod:`hiltestbed.compiled.dispatch` compiles them.
 """
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Iterable
-from functools import cache
-from types import CodeType, FunctionType, ModuleType
+from collections.abc import Callable
+from functools import cache, cached_property
+from operator import attrgetter
+from types import FunctionType
 from typing import Any
 
-import numba
-import numpy as np
-from numba.core.dispatcher import Dispatcher
-from numba.core.types import NamedTuple, NamedUniTuple, Type
 
-from hiltestbed.compiled.inner import inlined
+class Kernel:
+    """A function to be compiled; kernels may call it, too.
 
-_njit: Any = numba.njit
-_marks: dict[FunctionType, str] = {}
+    Attributes:
+        py_func: the function itself. options: as of ``numba.njit``.
+    """
+
+    def __init__(self, function: FunctionType, options: dict[str, Any]) -> None:
+        self.py_func, self.options = function, options
+        self.__doc__ = function.__doc__
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """Numba's dispatcher of the function."""
+        from hiltestbed.compiled.dispatch import dispatcher_of
+
+        return dispatcher_of(self)
+
+    # a call goes to the dispatcher without a frame of its own: some kernels take less than one
+    __call__ = property(attrgetter("dispatcher"))
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """``numba.njit``; a kernel cached on disk is marked by everything that it depends on."""
-
-    def compiled(function: Any) -> Any:
-        kernel = _njit(**options)(function)
-        inner = inlined(kernel)
-        if not options.get("cache"):
-            return kernel
-        inner.enable_caching()
-        try:
-            kept = [dispatcher._cache._cache_file for dispatcher in (kernel, inner)]
-            [file._source_stamp for file in kept]
-            for dispatcher in (kernel, inner):
-                dispatcher._cache._index_key = _by_fields(dispatcher._cache._index_key)
-        # a Numba with another cache: compiling at each start is slow, but never out of date
-        except AttributeError:
-            kernel = _njit(**options | {"cache": False})(function)
-            inlined(kernel)
-            return kernel
-        for file in kept:
-            file._source_stamp = Mark(function)
-            file._load_index = _readable(file._load_index)
-        return kernel
-
-    return compiled
-
-
-def _by_fields(index_key: Callable[..., tuple]) -> Callable[..., tuple]:
-    """A kernel is also cached by the order of the fields of its named tuples: Numba compares their
-    classes and types only.
+    """As ``numba.njit``, compiled at the first call; a kernel cached on disk is compiled again
+    whenever anything that it depends on has changed.
     """
-
-    def key(signature: Any, codegen: Any) -> tuple:
-        return (*index_key(signature, codegen), _fields(getattr(signature, "args", signature)))
-
-    return key
-
-
-def _fields(kinds: Iterable[Any]) -> tuple:
-    return tuple(
-        (kind.fields, _fields(kind.types))
-        for kind in kinds
-        if isinstance(kind, (NamedTuple, NamedUniTuple))
-    )
-
-
-def _readable(load_index: Callable[[], dict]) -> Callable[[], dict]:
-    """An index of cached kernels names the classes of their arguments: without one of them, which
-    an update renamed or moved, there is no kernel that could be taken.
-    """
-
-    def load() -> dict:
-        try:
-            return load_index()
-        except (AttributeError, ImportError):
-            return {}
-
-    return load
+    return lambda function: Kernel(function, options)
 
 
 @cache
@@ -95,108 +50,8 @@ def interpreted(kernel: Any) -> FunctionType:
     function = getattr(kernel, "py_func", kernel)
     space = dict(function.__globals__)
     for name in function.__code__.co_names:
-        if isinstance(space.get(name), Dispatcher):
+        if isinstance(space.get(name), Kernel):
             space[name] = interpreted(space[name])
     return FunctionType(
         function.__code__, space, function.__name__, function.__defaults__, function.__closure__
-    )
-
-
-class Mark:
-    """The mark with which a cached kernel is compared; computed at first use, when everything that
-    the function names is defined.
-    """
-
-    __slots__ = ("_function",)
-
-    def __init__(self, function: FunctionType) -> None:
-        self._function = function
-
-    def __eq__(self, other: object) -> bool:
-        return str(other) == str(self)
-
-    def __hash__(self) -> int:
-        return hash(str(self))
-
-    def __str__(self) -> str:
-        return mark_of(self._function)
-
-    def __reduce__(self) -> tuple[type[str], tuple[str]]:
-        return str, (str(self),)
-
-
-def mark_of(function: FunctionType) -> str:
-    """Hash of a function's code, its kernels', and of the constants that any of them reads."""
-    if function not in _marks:
-        reached: dict[FunctionType, str] = {}
-        _reach(function, reached)
-        _marks[function] = hashlib.sha256("\n".join(sorted(reached.values())).encode()).hexdigest()
-    return _marks[function]
-
-
-def _reach(function: FunctionType, reached: dict[FunctionType, str]) -> None:
-    """Add to ``reached`` a function with its description (without the functions that it calls), and
-    then those functions.
-    """
-    if function in reached:
-        return
-    reached[function] = ""
-    codes = [function.__code__]
-    parts: list[str] = [f"{function.__module__}.{function.__qualname__}"]
-    called: list[FunctionType] = []
-    space = function.__globals__
-    held = dict(
-        zip(
-            function.__code__.co_freevars,
-            (c.cell_contents for c in function.__closure__ or ()),
-            strict=True,
-        )
-    )
-    while codes:
-        code = codes.pop()
-        parts += [code.co_code.hex(), repr(code.co_names), repr(code.co_varnames)]
-        codes += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
-        parts += [
-            _description(constant, called)
-            for constant in code.co_consts
-            if not isinstance(constant, CodeType)
-        ]
-        for name in (*code.co_names, *code.co_freevars):
-            value = held.get(name, space.get(name))
-            parts.append(f"{name} {_description(value, called)}")
-            if isinstance(value, ModuleType):
-                parts += [
-                    f"{name}.{part} {_description(getattr(value, part, None), called)}"
-                    for part in code.co_names
-                ]
-    parts.append(_description(function.__defaults__, called))
-    reached[function] = "\n".join(parts)
-    for other in called:
-        _reach(other, reached)
-
-
-def _description(value: Any, called: list[FunctionType]) -> str:
-    """Description of a value that is the same in every process; functions that are compiled with it
-    are added to ``called``.
-    """
-    # the latter of an intrinsic
-    compiled = value.py_func if isinstance(value, Dispatcher) else getattr(value, "_defn", None)
-    if isinstance(compiled, FunctionType):
-        called.append(compiled)
-    if isinstance(value, np.ndarray):
-        return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
-    if isinstance(value, (tuple, list)):
-        return (
-            f"{type(value).__qualname__}({', '.join(_description(part, called) for part in value)})"
-        )
-    if isinstance(value, frozenset):
-        return f"frozenset({', '.join(sorted(_description(part, called) for part in value))})"
-    if isinstance(value, type) and issubclass(value, tuple):
-        return f"{value.__qualname__}{getattr(value, '_fields', ())}"
-    if value is None or isinstance(value, (bool, int, float, complex, str, bytes, np.generic)):
-        return repr(value)
-    return (
-        str(value)
-        if isinstance(value, Type)
-        else f"{type(value).__module__}.{type(value).__qualname__}"
     )

@@ -31,7 +31,7 @@ def cache_folder() -> Path:
     """Folder in which Numba caches the kernel of the figures, which every run needs."""
     from hiltestbed.analysis.metrics import take_figures
 
-    return Path(take_figures.stats.cache_path or "")
+    return Path(take_figures.dispatcher.stats.cache_path or "")
 
 
 def compiled() -> bool:

@@ -170,9 +170,9 @@ def delay_line(scenario: Scenario) -> float:
 
 def campaign_budget(campaign: LoadedCampaign, workers: int = 1, chunk: int = 64) -> Budget:
     """Budget of a campaign whose cases are like its scenario."""
-    from hiltestbed.scenario import scenario_from
+    from hiltestbed.build import runnable_from
 
-    scenario = scenario_from(campaign.source)
+    scenario = runnable_from(campaign.source)
     cases, keeps = campaign.spec.cases, campaign.spec.keep != "summary"
     together = min(chunk, cases)
     one = run_budget([scenario] * together, rows=False)

@@ -57,14 +57,14 @@ def look_at(path: str | Path, set: Mapping[str, Any] | None = None) -> FileRepor
 
 def _scenario(source: Source) -> FileReport:
     from hiltestbed.analysis.limits import ahead, rig_ahead
+    from hiltestbed.build import runnable_from
     from hiltestbed.config.budget import run_budget
     from hiltestbed.config.models import remarks_on
     from hiltestbed.config.sense import warnings
     from hiltestbed.config.validation import user_files
     from hiltestbed.contact.findings import remarks
-    from hiltestbed.scenario import scenario_from
 
-    scenario = scenario_from(source)
+    scenario = runnable_from(source)
     models = [file for file, kind in user_files(scenario).values() if kind.mjcf]
     said = (f"{file}: {text}" for file in models for text in remarks_on(file))
     remarked = (

@@ -16,13 +16,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from hiltestbed.build import runnable_from
 from hiltestbed.config.validation import Strictly, validate
 from hiltestbed.config.yaml_source import KeyPath, Source, read_source, referenced_source
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.measured.formats import AnyFormat, data_file, no_file
 from hiltestbed.plugins import depends
 from hiltestbed.run_folder.folders import is_file
-from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.scenario import Scenario
 
 MISSPELT = 0.8  # likeness of two names, above which one is taken for a misspelling of the other
 FORCE_PARTS = ("fx", "fy", "fz", "tx", "ty", "tz")
@@ -148,11 +149,11 @@ def dataset_from(source: Source, on_record: bool = True) -> LoadedDataset:
     spec = validate(Dataset, source)
     faults = [*(_missing_files(spec, source) if on_record else ()), *_channel_faults(spec, source)]
     nominal_source = referenced_source(source)
-    nominal = scenario_from(nominal_source)
+    nominal = runnable_from(nominal_source)
     scenarios = []
     for index, run in enumerate(spec.runs):
         try:
-            scenarios.append(scenario_from(nominal_source, run.set))
+            scenarios.append(runnable_from(nominal_source, run.set))
         except InputError as error:
             faults += [source.relocated(fault, ("runs", index, "set")) for fault in error.faults]
     if faults:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import copy
 import difflib
 import types
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar, Union, get_args, get_origin
@@ -21,6 +21,7 @@ from pydantic import (
     ValidationError,
     ValidationInfo,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from hiltestbed.config.models import models_folder
@@ -119,9 +120,12 @@ def refuse(problems: Iterable[Problem]) -> None:
 
 
 def validate(
-    model: type[Model], source: Source, specimen: Mapping[str, Any] | None = None
+    model: type[Model],
+    source: Source,
+    specimen: Mapping[str, Any] | None = None,
+    further: Callable[[Model], Iterable[Problem]] = lambda _: (),
 ) -> Model:
-    """`source.data` as `model`. Raises InputError with every fault.
+    """`source.data` as `model`. Raises InputError with every fault, the `further` ones included.
 
     Checks of several keys together only run if each key is valid by itself. Therefore each rejected
     value is replaced by that of a valid `specimen` (or removed), and the rest is validated again: a
@@ -133,11 +137,12 @@ def validate(
         new: list[Problem] = []
         try:
             result = model.model_validate(data, context={"folder": source.folder})
-            if not problems:
-                return result
+            found = further(result)
         except ValidationError as error:
-            found = _problems(model, data, error)
-            new = [item for item in found if not _overlaps(item[0], problems)]
+            result, found = None, _problems(model, data, error)
+        new = [item for item in found if not _overlaps(item[0], problems)]
+        if result is not None and not problems + new:
+            return result
         problems += new
         if not new:
             said = [source.fault(*item) for item in problems if not _is_misspelt(item, problems)]
@@ -224,7 +229,7 @@ def _path(data: Any, location: tuple[int | str, ...]) -> KeyPath:
 
 
 def _unknown(path: KeyPath, owner: type[BaseModel] | None) -> str:
-    allowed = list(owner.model_fields) if owner is not None else []
+    allowed = list(_fields(owner)) if owner is not None else []
     return f"unknown key{nearest(str(path[-1]), allowed)}; allowed: {', '.join(allowed) or 'none'}"
 
 
@@ -247,6 +252,11 @@ def _model_at(model: type[BaseModel], data: Any, path: KeyPath) -> type[BaseMode
     return _pick(annotation, data)
 
 
+def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """The fields of a model by their keys in a file."""
+    return {field.alias or name: field for name, field in model.model_fields.items()}
+
+
 def _items(annotation: Any) -> Any:
     """The annotation of the items of a list or a mapping; None for anything else."""
     origin, members = get_origin(annotation), get_args(annotation)
@@ -262,13 +272,13 @@ def _items(annotation: Any) -> Any:
 def description_of(model: type[BaseModel], data: Any, path: KeyPath) -> str:
     """Description of the key at ``path``, by the `kind` in the data in a union; or empty."""
     owner = _model_at(model, data, path[:-1])
-    field = owner.model_fields.get(str(path[-1])) if owner is not None else None
+    field = _fields(owner).get(str(path[-1])) if owner is not None else None
     return (field.description or "") if field is not None else ""
 
 
 def _annotation(model: type[BaseModel], key: str) -> Any:
     """The annotation of a field with its metadata; None if there is no such field."""
-    field = model.model_fields.get(key)
+    field = _fields(model).get(key)
     if field is None:
         return None
     table = next((m for m in field.metadata if isinstance(m, OneOf)), None)

@@ -15,6 +15,7 @@ from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.touch import first_touch
 from hiltestbed.numerical_model.bodies import effective_mass
+from hiltestbed.scenario.like import HIGHEST
 
 if TYPE_CHECKING:
     from hiltestbed.scenario.like import ScenarioLike as Scenario
@@ -28,7 +29,6 @@ STEPS = 100.0
 TOLERANCE = 1.0 / (4.0 * 0.5 * STEPS)
 # steps of the physics in a tick, at least: a force between two readings
 LEAST = 2
-HIGHEST = 4e6  # [Hz] physics rate that a scenario may have
 
 
 def error_bound(scenario: Scenario) -> float:
@@ -45,7 +45,7 @@ def with_half_the_step(scenario: SomeScenario) -> SomeScenario | None:
     rate = 2.0 * scenario.physics_rate
     if error_bound(scenario) <= TOLERANCE or rate > HIGHEST:
         return None
-    return scenario.model_copy(update={"physics_rate": rate})
+    return scenario.model_copy(update={"stated_physics_rate": rate})
 
 
 def unconverged(scenario: Scenario, cor: float | None, halved: float | None) -> str | None:

@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.analysis.metrics import settle_ticks
+from hiltestbed.build import runnable_from
 from hiltestbed.campaign.cases import lockstep_groups
 from hiltestbed.diagnosis.result import Cause, ClosedLoop, Figures, Learned, SimulatedRun
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset, MeasuredRun
-from hiltestbed.scenario import Scenario, resolved, scenario_from
+from hiltestbed.scenario import Scenario, resolved
 from hiltestbed.signals import RunTrace
 from hiltestbed.simulation import simulate
 
@@ -82,7 +83,7 @@ def with_entries(
     data["effects"] = [*data["effects"], *entries]
     if rows is not None:
         data["duration"] = min(data["duration"], rows * scenario.tick)
-    return scenario_from(data)
+    return runnable_from(data)
 
 
 def traces_of(scenarios: Sequence[Scenario]) -> list[RunTrace | None]:

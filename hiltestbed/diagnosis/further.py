@@ -11,11 +11,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from hiltestbed.build import runnable_from
 from hiltestbed.config.dataset import Dataset, LoadedDataset, RunEntry
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.measured import MeasuredDataset, examine
 from hiltestbed.measured.record import MEASURED_GROUPS
-from hiltestbed.scenario import Scenario, resolved, scenario_from
+from hiltestbed.scenario import Scenario, resolved
 from hiltestbed.signals import GROUPS
 from hiltestbed.simulation import simulate
 
@@ -65,7 +66,7 @@ def possible(scenario: Scenario, seed: int) -> Iterator[Further]:
     believed = resolved(scenario)
     for i, (words, settings) in enumerate(alternatives(scenario)):
         try:
-            other = scenario_from(believed, settings | {"seed": seed + i})
+            other = runnable_from(believed, settings | {"seed": seed + i})
         except InputError:  # the facility, or the mechanism, does not allow it
             continue
         yield Further(words, settings, other)
@@ -106,7 +107,7 @@ def with_noise(scenario: Scenario, noise: Mapping[str, float], seed: int) -> Sce
     for key, prefix in (("noise", "wrench_meas.f"), ("torque_noise", "wrench_meas.t")):
         if known := [level for column, level in noise.items() if column.startswith(prefix)]:
             levels[f"sensor.{key}"] = float(np.median(known))
-    return scenario_from(resolved(scenario), levels)
+    return runnable_from(resolved(scenario), levels)
 
 
 def noise_on_record(data: MeasuredDataset) -> dict[str, float]:

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.geometry import ACTIVE, PASSIVE
-from hiltestbed.contact.sides import sides_of
 from hiltestbed.frames import Array, quat_mul_conj, rotate, rotate_back, rotation_vector
 
 if TYPE_CHECKING:
@@ -68,6 +67,8 @@ class HeldPlace:
     """
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        from hiltestbed.contact.sides import sides_of  # not MuJoCo with the settings
+
         n, mechanism = len(scenarios), scenarios[0].mechanism
         sites = sides_of(mechanism).sites
         closing, acts, places, kinds, together = NONE, [], [], [], []

@@ -34,7 +34,6 @@ from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.geometry import ROW, SIDE, unmet
 from hiltestbed.contact.parameters import LEVER, PARAMETERS
-from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.wrench import meet_all
 from hiltestbed.frames import Array
 from hiltestbed.identification.held import HeldPlace, add_moment, referred, update_held
@@ -128,6 +127,8 @@ class ContactSamples:
             lead: of each run, the lag [s] of the phase lead that the force passes; :meth:`take`
                 then needs ``led``.
         """
+        from hiltestbed.contact.sides import sides_of  # not MuJoCo with the settings
+
         n, first = len(scenarios), scenarios[0]
         h = 1.0 / first.rate
         self.tick = h

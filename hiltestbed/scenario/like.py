@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from hiltestbed.scenario.spacecraft import Approach, Spacecraft
     from hiltestbed.sensor.settings import Sensor
 
+HIGHEST = 4e6  # [Hz] physics rate that a scenario may have
+
 
 class ScenarioLike(Protocol):
     """The fields of :class:`hiltestbed.scenario.Scenario` that blocks and sections read.

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from hiltestbed import plugins
 from hiltestbed.compensation.settings import Compensation
@@ -29,7 +29,6 @@ from hiltestbed.config.validation import (
     validate,
 )
 from hiltestbed.config.yaml_source import KeyPath, Source, dump_yaml, read_source
-from hiltestbed.contact.resolution import HIGHEST, LEAST, sufficient_rate
 from hiltestbed.contact.settings import AnyMechanism
 from hiltestbed.devices.section import Devices
 from hiltestbed.effects.base import repeated
@@ -37,6 +36,7 @@ from hiltestbed.effects.table import AnyEffect
 from hiltestbed.identification.settings import IDENTIFIERS, AnyIdentifier
 from hiltestbed.numerical_model.settings import MODELS, AnyModel
 from hiltestbed.platform.settings import Rig
+from hiltestbed.scenario.like import HIGHEST
 from hiltestbed.scenario.limits import DockingLimits
 from hiltestbed.scenario.monitoring import Monitoring
 from hiltestbed.scenario.safety import SafetyLimits
@@ -50,6 +50,8 @@ class Scenario(Strictly):
     """One run: two vehicles, their approach, the rig that reproduces it, and the compensation of
     the rig's delays.
     """
+
+    model_config = ConfigDict(serialize_by_alias=True)  # one key has another name in a file
 
     name: Annotated[str, Field(min_length=1, max_length=200)] = Field(
         description="Name of the scenario, also of its run folder"
@@ -66,11 +68,12 @@ class Scenario(Strictly):
         description="Rate of the loop [Hz]: one reading, one step of the numerical model and one "
         "command per tick",
     )
-    physics_rate: Annotated[float, Field(gt=0, le=HIGHEST)] = Field(
-        default_factory=lambda given: LEAST * given["rate"],  # type: ignore[arg-type]
-        description="Rate of the physics steps [Hz], a whole multiple of rate; omitted: twice "
-        "rate, or as many times as give the first contact, and the parts that it moves, 100 steps "
-        "in half a period",
+    stated_physics_rate: Annotated[float, Field(gt=0, le=HIGHEST)] | None = Field(
+        default=None,
+        alias="physics_rate",
+        description="Rate of the physics steps [Hz], a whole multiple of rate; null or omitted: "
+        "twice rate, or as many times as give the first contact, and the parts that it moves, 100 "
+        "steps in half a period",
     )
     spacecraft: Spacecraft = Field(description="Both vehicles, as nominal in the numerical model")
     numerical_model: AnyModel = Field(
@@ -131,6 +134,15 @@ class Scenario(Strictly):
         return round(self.duration * self.rate)
 
     @property
+    def physics_rate(self) -> float:
+        """Rate of the physics steps [Hz]: the stated one, or what the contact needs."""
+        if self.stated_physics_rate is not None:
+            return self.stated_physics_rate
+        from hiltestbed.contact.resolution import sufficient_rate
+
+        return sufficient_rate(self)
+
+    @property
     def substeps(self) -> int:
         """Steps of the physics in one tick."""
         return round(self.physics_rate / self.rate)
@@ -138,23 +150,32 @@ class Scenario(Strictly):
     @model_validator(mode="after")
     def _is_possible(self) -> Scenario:
         refuse(_problems(self))
-        if "physics_rate" not in self.model_fields_set:
-            object.__setattr__(self, "physics_rate", sufficient_rate(self))
         return self
 
 
 def _problems(scenario: Scenario) -> Iterator[Problem]:
-    """Every fault that concerns several keys together."""
-    from hiltestbed.contact.findings import faults
-
+    """Every fault that concerns several keys together and needs no model: the others are found by
+    :func:`hiltestbed.build.runnable`.
+    """
     yield from _time_problems(scenario)
-    yield from _platform_problems(scenario)
-    yield from _effect_problems(scenario)
-    yield from ((("mechanism",), message) for message in faults(scenario))
+    platform, upper = scenario.rig.platform, scenario.rig.upper
+    if upper.kind != "fixed" and not platform.carries_upper:
+        message = (
+            f"belongs to the 3-3 PSS platform (got {upper.kind!r} with platform kind "
+            f"{platform.kind!r}); allowed is fixed"
+        )
+        yield ("rig", "upper", "kind"), message
+    for index, effect in repeated(scenario.effects):
+        message = (
+            f"appears twice, and two effects {effect.kind!r} do not act together; allowed is one: "
+            f"take one of them out"
+        )
+        yield ("effects", index), message
 
 
 def _time_problems(scenario: Scenario) -> Iterator[Problem]:
-    rate, physics_rate, duration = scenario.rate, scenario.physics_rate, scenario.duration
+    rate, duration = scenario.rate, scenario.duration
+    physics_rate = scenario.stated_physics_rate or rate
     ratio, ticks, delay = physics_rate / rate, duration * rate, scenario.sensor.delay
     if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
         near = max(1, round(ratio)) * rate
@@ -177,35 +198,6 @@ def _time_problems(scenario: Scenario) -> Iterator[Problem]:
         yield ("sensor", "delay"), message
 
 
-def _platform_problems(scenario: Scenario) -> Iterator[Problem]:
-    """A start out of reach, a rate unlike the controller's, incompatible sections."""
-    platform, upper = scenario.rig.platform, scenario.rig.upper
-    if upper.kind != "fixed" and not platform.carries_upper:
-        message = (
-            f"belongs to the 3-3 PSS platform (got {upper.kind!r} with platform kind "
-            f"{platform.kind!r}); allowed is fixed"
-        )
-        yield ("rig", "upper", "kind"), message
-        return
-    yield from platform.problems(scenario)
-    if platform.start_needs_model:
-        from hiltestbed.platform.build import problems
-
-        yield from problems(scenario)
-
-
-def _effect_problems(scenario: Scenario) -> Iterator[Problem]:
-    for index, effect in repeated(scenario.effects):
-        message = (
-            f"appears twice, and two effects {effect.kind!r} do not act together; allowed is one: "
-            f"take one of them out"
-        )
-        yield ("effects", index), message
-    for index, effect in enumerate(scenario.effects):
-        if reason := effect.unfit(scenario):
-            yield ("effects", index), reason
-
-
 @plugins.depends
 def _rebuild() -> None:
     """Include the classes of a plugin in the schema."""
@@ -224,13 +216,17 @@ def load_scenario(path: str | Path, set: Mapping[str, Any] | None = None) -> Sce
 
 
 def scenario_from(
-    source: Source | Mapping[str, Any], set: Mapping[str, Any] | None = None
+    source: Source | Mapping[str, Any],
+    set: Mapping[str, Any] | None = None,
+    further: Callable[[Scenario], Iterable[Problem]] = lambda _: (),
 ) -> Scenario:
-    """The scenario from a `Source`, or a dict with the content of a file. Raises InputError."""
+    """The scenario from a `Source`, or a dict with the content of a file. Raises InputError, also
+    with the ``further`` problems that are found in it.
+    """
     plugins.load()
     if not isinstance(source, Source):
         source = Source("scenario", dict(source))
-    return validate(Scenario, source.with_set(set), _SPECIMEN)
+    return validate(Scenario, source.with_set(set), _SPECIMEN, further)
 
 
 _BODY = {"mass": 1.0, "inertia": [1.0, 1.0, 1.0]}
@@ -245,7 +241,7 @@ _SPECIMEN = {  # valid values that replace refused ones, so that the other keys 
 
 def resolved(scenario: Scenario) -> dict[str, Any]:
     """The scenario as plain data with every default written out, from which it is restored."""
-    return scenario.model_dump(mode="json")
+    return scenario.model_dump(mode="json") | {"physics_rate": scenario.physics_rate}
 
 
 def dump_scenario(scenario: Scenario) -> str:

@@ -18,7 +18,7 @@ from hiltestbed.config.validation import nearest
 from hiltestbed.effects import EFFECTS, Effect
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.scenario import load_scenario
+from hiltestbed.scenario import load_scenario, resolved
 from hiltestbed.sensor.sensor import Sensors
 from hiltestbed.sensor.settings import Sensor as Settings
 
@@ -85,7 +85,7 @@ class ForceSensor:
         `extended_scenario` that `hiltestbed diagnose` wrote. Raises InputError.
         """
         found = load_scenario(scenario)
-        data = found.model_dump(mode="json")
+        data = resolved(found)
         effects = [
             keys
             for effect, keys in zip(found.effects, data["effects"], strict=True)

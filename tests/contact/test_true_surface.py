@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hiltestbed.build import runnable
 from hiltestbed.config.check import look_at
 from hiltestbed.contact.surfaces.surface import hollow
 from hiltestbed.errors import InputError
@@ -71,7 +72,7 @@ def test_a_pair_without_an_exact_contact_is_refused(
     assets = {RING: TORUS, CUP: "", BOX: ""}.get(passive, FIELD)
     file = mechanism(tmp_path, f'<geom name="touching" {active}/>', passive, assets)
     with pytest.raises(InputError, match=r"pair touching - touching has no exact contact: .*; "):
-        load_scenario(file)
+        runnable(load_scenario(file))
 
 
 def test_a_convex_mesh_meets_a_box_at_its_surface(tmp_path: Path) -> None:

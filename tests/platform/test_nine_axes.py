@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from hiltestbed.build import runnable_from
 from hiltestbed.compiled.state import arrays_of
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
@@ -17,7 +18,7 @@ from hiltestbed.platform.facilities.motion import GRAVITY
 from hiltestbed.platform.facilities.prs3 import BLEND, DOCKING
 from hiltestbed.platform.nine_axes import NineAxes
 from hiltestbed.platform.plant import Plant
-from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.scenario import Scenario
 from tests.platform.rigs import scenario
 from tests.running import run
 
@@ -27,7 +28,7 @@ def nine_axes(tracking: str = "servo", upper: str = "servo", **keys: Any) -> Sce
     data["rig"]["upper"] = {"kind": "prs3", "tracking": upper}
     for key, value in keys.items():
         data[key] = data[key] | value if isinstance(value, dict) else value
-    return scenario_from(data)
+    return runnable_from(data)
 
 
 def relative(t: Array, middle: float = 1.0) -> tuple[Array, Array, Array]:
@@ -120,7 +121,7 @@ def test_docking_is_what_it_is_without_an_upper_platform_bit_for_bit() -> None:
     scene = nine_axes("ideal", approach=approach, duration=0.5)
     data = scene.model_dump(mode="json")
     data["rig"]["upper"] = {"kind": "fixed"}
-    with_upper, without = run(scene).trace, run(scenario_from(data)).trace
+    with_upper, without = run(scene).trace, run(runnable_from(data)).trace
     assert with_upper is not None
     assert without is not None
     assert without.contact.any()
@@ -193,4 +194,4 @@ def test_without_the_upper_platform_two_metres_are_refused_and_with_it_they_are_
     data = nine_axes(approach={"gap": 2.0}).model_dump(mode="json")
     data["rig"]["upper"]["kind"] = "fixed"
     with pytest.raises(InputError, match="outside the workspace"):
-        scenario_from(data)
+        runnable_from(data)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.analysis.stability import stability
+from hiltestbed.build import runnable
 from hiltestbed.config.check import look_at
 from hiltestbed.config.gallery import shipped
 from hiltestbed.errors import InputError
@@ -58,7 +59,7 @@ def test_a_name_that_no_file_system_takes_is_no_file(tmp_path: Path, key: str) -
 def test_a_frame_that_rings_beyond_all_steps_is_refused(frequency, mass, said) -> None:
     mode = {"kind": "frame.mode", "frequency": frequency, "damping_ratio": 0.1, "mass": mass}
     with pytest.raises(InputError, match=said):
-        load_scenario("02-bumper", {"effects": [mode]})
+        runnable(load_scenario("02-bumper", {"effects": [mode]}))
 
 
 def test_physics_too_fine_to_measure_the_rig_is_said_and_not_waited_for() -> None:
@@ -72,4 +73,4 @@ def test_physics_too_fine_to_measure_the_rig_is_said_and_not_waited_for() -> Non
 def test_a_start_half_way_to_the_moon_is_refused(gap: float) -> None:
     """On a rig of slides that are solved stride by stride, 5 cm each."""
     with pytest.raises(InputError, match=r"travel|reach"):
-        load_scenario("21-own-rig", {"approach.gap": gap})
+        runnable(load_scenario("21-own-rig", {"approach.gap": gap}))

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from hiltestbed.build import runnable_from
 from hiltestbed.config.models import models_folder
+from hiltestbed.config.yaml_source import read_source
 from hiltestbed.contact.settings import MECHANISMS
 from hiltestbed.errors import InputError
 from hiltestbed.scenario import dump_scenario, load_scenario, scenario_from, scenario_sha256
@@ -38,7 +40,7 @@ def file(tmp_path: Path) -> Path:
 
 def faults_of(path: Path, overrides: dict | None = None) -> list[str]:
     with pytest.raises(InputError) as caught:
-        load_scenario(path, overrides)
+        runnable_from(read_source(path), overrides)
     assert caught.value.exit_status == 2
     return [str(fault) for fault in caught.value.faults]
 

@@ -47,7 +47,6 @@ from hiltestbed.compensation.interfaces import ForceBlock, KernelBlock
 from hiltestbed.compensation.settings import ForceMethod, Input, force_of
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative, Positive
-from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.plugins import register
 
@@ -82,6 +81,8 @@ class VirtualContact(ForceMethod):
         return KernelBlock(add_virtual, STATE, stiffness, damping)
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
+        from hiltestbed.contact.directions import acting_along_z
+
         # a damper b is equivalent to a lead of b/k
         return {self.kind: self.damping / acting_along_z(scenario)[0]}
 

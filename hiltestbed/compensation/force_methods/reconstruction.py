@@ -33,7 +33,6 @@ from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, force_of
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative, Positive
-from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.frames import Array
 from hiltestbed.identification.held import UNTURNED, add_moment, referred
 from hiltestbed.plugins import register
@@ -83,6 +82,8 @@ class SmithPredictor(WithLead):
         return SmithPredictorBlock(scenarios)
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
+        from hiltestbed.contact.directions import acting_along_z
+
         return {self.kind: scenario.sensor.delay * self.stiffness / acting_along_z(scenario)[0]}
 
 

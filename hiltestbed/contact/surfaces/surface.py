@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,13 +24,8 @@ from hiltestbed.contact.surfaces.revolution import recognise
 from hiltestbed.contact.surfaces.soundness import MeshFault, examine
 from hiltestbed.frames import Array
 
-PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
-SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
-CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
-CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
-BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
-MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+# as mujoco.mjtGeom, the second of which is a height field
+PLANE, _, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(8)
 KINDS = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from hiltestbed.build import runnable_from
 from hiltestbed.config.yaml_source import dump_yaml
 from hiltestbed.devices.commission.motions import SETTLED, TestMotion, motions
 from hiltestbed.devices.commission.platform import PlatformFit, TestedPath, fit_platform
@@ -28,7 +29,7 @@ from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, attitude_deg_from_quat, quat_from_attitude_deg
 from hiltestbed.run_folder.store import whole_folder, write_trace
 from hiltestbed.run_folder.versions import versions
-from hiltestbed.scenario import Scenario, dump_scenario, resolved, scenario_from
+from hiltestbed.scenario import Scenario, dump_scenario, resolved
 from hiltestbed.sensor.effects import SensorRotation
 from hiltestbed.signals import AXES, RunTrace
 
@@ -190,7 +191,7 @@ def _mounted(scenario: Scenario, sensor: SensorFit | None, noise: Array) -> Scen
             "sign": sensor.sign,
         }
     data["sensor"] |= {"noise": float(np.max(noise[:3])), "torque_noise": float(np.max(noise[3:]))}
-    return scenario_from(data)
+    return runnable_from(data)
 
 
 def _nominal(believed: Scenario, sensor: SensorFit, platform: PlatformFit) -> Scenario:
@@ -199,7 +200,7 @@ def _nominal(believed: Scenario, sensor: SensorFit, platform: PlatformFit) -> Sc
     data["sensor"]["delay"] = max(sensor.delay - filtered, 0.0)
     measured = ("sensor.", "platform.")
     kept = [effect for effect in data["effects"] if not effect["kind"].startswith(measured)]
-    return scenario_from(data | {"effects": kept + effects_of(sensor, platform)})
+    return runnable_from(data | {"effects": kept + effects_of(sensor, platform)})
 
 
 def effects_of(sensor: SensorFit, platform: PlatformFit) -> list[dict[str, Any]]:

@@ -23,10 +23,11 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from hiltestbed.build import runnable_from
 from hiltestbed.devices.commission.platform import spread_of
 from hiltestbed.frames import Array, rotation_matrix
 from hiltestbed.platform.plant import Plant
-from hiltestbed.scenario import Scenario, resolved, scenario_from
+from hiltestbed.scenario import Scenario, resolved
 from hiltestbed.signals import AXES
 
 ROWS = 6000  # largest number of rows, of all motions together, in a fit
@@ -53,7 +54,7 @@ class Expected:
         """``poses`` (N, 7) of A in P at t_k."""
         data: dict[str, Any] = resolved(scenario) | {"effects": []}
         data["rig"]["platform"]["tracking"] = data["rig"]["upper"]["tracking"] = "ideal"
-        believed = scenario_from(data)
+        believed = runnable_from(data)
         plant = Plant([believed])
         still = np.zeros((1, 6))
         plant.reset(poses[None, 0], still)

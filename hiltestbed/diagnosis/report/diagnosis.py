@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hiltestbed.build import runnable_from
 from hiltestbed.config.dataset import label_of
 from hiltestbed.diagnosis.closed_loop import closed_loop, simulate_runs
 from hiltestbed.diagnosis.next_run import next_experiment
@@ -29,7 +30,7 @@ from hiltestbed.measured.remark import overrides
 from hiltestbed.run_folder.folders import html_table
 from hiltestbed.run_folder.store import RECORDING, whole_folder
 from hiltestbed.run_folder.versions import versions
-from hiltestbed.scenario import Scenario, dump_scenario, resolved, scenario_from
+from hiltestbed.scenario import Scenario, dump_scenario, resolved
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -176,7 +177,7 @@ def extended_scenario(nominal: Scenario, causes: Sequence[Cause | Learned]) -> S
     data["effects"] = [*data["effects"], *(cause.entry() for cause in causes)]
     names = ", ".join(f"{c.effect} ({EFFECTS[c.effect].meaning().rstrip('.')})" for c in causes)
     data["description"] = f"{nominal.description} Extended with {names}.".strip()
-    return scenario_from(data)
+    return runnable_from(data)
 
 
 def extended_yaml(scenario: Scenario, causes: Sequence[Cause | Learned]) -> str:
