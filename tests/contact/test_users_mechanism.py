@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from hiltestbed import diagnose, write_run
+from hiltestbed.build import runnable
 from hiltestbed.campaign.sweep import sweep
 from hiltestbed.diagnosis import investigate, paths
 from hiltestbed.diagnosis.find import judge
@@ -143,7 +144,7 @@ def test_another_file_is_another_scenario(folder: Path, tmp_path: Path) -> None:
 def refused(folder: Path, side: str, text: str) -> str:
     (folder / "parts" / f"{side}.xml").write_text(text)
     with pytest.raises(InputError) as error:
-        mine(folder)
+        runnable(mine(folder))
     return str(error.value)
 
 
