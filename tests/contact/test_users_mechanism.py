@@ -98,7 +98,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def mine(folder: Path, **more: object) -> Scenario:
-    return load_scenario(folder / "mine.yaml", set=more)
+    return runnable(load_scenario(folder / "mine.yaml", set=more))
 
 
 def test_it_docks(folder: Path) -> None:
@@ -144,7 +144,7 @@ def test_another_file_is_another_scenario(folder: Path, tmp_path: Path) -> None:
 def refused(folder: Path, side: str, text: str) -> str:
     (folder / "parts" / f"{side}.xml").write_text(text)
     with pytest.raises(InputError) as error:
-        runnable(mine(folder))
+        mine(folder)
     return str(error.value)
 
 
