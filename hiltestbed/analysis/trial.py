@@ -48,7 +48,7 @@ from numpy.typing import NDArray
 from hiltestbed.analysis.metrics import along_impulse
 from hiltestbed.analysis.rig_response import RigResponse
 from hiltestbed.build import runnable_from
-from hiltestbed.compiled.jit import interpreted, njit
+from hiltestbed.compiled.jit import interpreted
 from hiltestbed.contact.directions import Direction, acting_along_z, time_of_touch
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.errors import InputError
@@ -297,23 +297,19 @@ def bounce(
     dt = float(t[1])
     g = dt * (_carried(response, lag, t - delay) / mass + _yielded(response, t))
     force = np.zeros(len(t))
-    work = _met(t, g, dt, float(stiffness), float(damping), force)
+    work = _met(t, g, dt, stiffness, damping, force)
     after = 1.0 - dt * (float(force.sum()) - 0.5 * force[0]) / mass
     return Bounce(float(-after), float(2.0 * work / mass - (1.0 - after * after)))
 
 
-@njit(cache=True)
-def _met(t, g, dt, stiffness, damping, force):
+def _met(t: Array, g: Array, dt: float, stiffness: float, damping: float, force: Array) -> float:
     """The force of the contact at ``t`` (N,) after an approach at 1 m/s into ``force`` (N,), zeros,
     and the work that is done on it.
     """
     place, work = 0.0, 0.0
     force[0] = damping
     for j in range(1, len(t)):
-        answered = 0.0
-        for i in range(1, j):
-            answered += force[i] * g[j - i]
-        free = t[j] - answered - 0.5 * force[0] * g[j]
+        free = t[j] - force[1:j] @ g[j - 1 : 0 : -1] - 0.5 * force[0] * g[j]
         if free <= 0.0:
             break
         pushed = stiffness * free + damping * (free - place) / dt

@@ -16,7 +16,7 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from hiltestbed.compiled.jit import interpreted
+from hiltestbed.compiled.jit import Seldom, interpreted
 from hiltestbed.frames import Array, pose_step, twist_between
 from hiltestbed.platform.facilities.motion import move, place, scratch, tool_pose, tool_twist
 from hiltestbed.platform.facilities.newton import CLOSE, ITERATIONS, equations, newton, rates
@@ -34,6 +34,9 @@ SLOWEST = 0.02
 LOOSEST = 100.0
 # prefixes of joints of the attached mechanisms, not of the facility
 MECHANISMS = ("active_", "passive_", "mount_", "payload_")
+# in the loop, kernels call these
+_place, _move, _tool_pose, _tool_twist = map(Seldom, (place, move, tool_pose, tool_twist))
+_equations, _newton, _rates = map(Seldom, (equations, newton, rates))
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -108,18 +111,18 @@ class Kinematics:
     def poses(self, q: Array) -> Array:
         """``(nt, 7)`` poses of the tools in W at the joint positions ``q`` (nq,)."""
         out = np.empty((len(self.tools), 7))
-        place(self.tree, np.ascontiguousarray(q, dtype=float), self._work)
+        _place(self.tree, np.ascontiguousarray(q, dtype=float), self._work)
         for t in range(len(out)):
-            tool_pose(self.tree, self._work, t, out[t])
+            _tool_pose(self.tree, self._work, t, out[t])
         return out
 
     def twists(self, q: Array, v: Array) -> Array:
         """``(nt, 6)`` twists of the tools in W at positions ``q`` (nq,) and rates ``v`` (nv,)."""
         out = np.empty((len(self.tools), 6))
-        place(self.tree, np.ascontiguousarray(q, dtype=float), self._work)
-        move(self.tree, np.ascontiguousarray(v, dtype=float), self._work)
+        _place(self.tree, np.ascontiguousarray(q, dtype=float), self._work)
+        _move(self.tree, np.ascontiguousarray(v, dtype=float), self._work)
         for t in range(len(out)):
-            tool_twist(self.tree, self._work, t, out[t])
+            _tool_twist(self.tree, self._work, t, out[t])
         return out
 
     def solve(
@@ -152,7 +155,7 @@ class Kinematics:
                 at[:] = goal
             before = q.copy()
             held_now = begin_values + (values - begin_values) * (s / steps)
-            worst = newton(self.tree, q, at, held_now, self._work, CLOSE, ITERATIONS)
+            worst = _newton(self.tree, q, at, held_now, self._work, CLOSE, ITERATIONS)
             if not worst < 1e3 * CLOSE:
                 return before, worst
         return q, worst
@@ -160,13 +163,13 @@ class Kinematics:
     def nearest(self, poses: Array) -> tuple[Array, float]:
         """Joints ``(nq,)`` closest to ``poses`` (nt, 7), from home, and the residual [m, rad]."""
         q, goal = self.home.copy(), np.ascontiguousarray(poses, dtype=float)
-        return q, newton(self.tree, q, goal, self.held_home, self._work, CLOSE, ITERATIONS)
+        return q, _newton(self.tree, q, goal, self.held_home, self._work, CLOSE, ITERATIONS)
 
     def closed(self, q: Array) -> Array:
         """Joints ``(nq,)`` near ``q`` with loops closed and the driven joints of ``q``."""
         out, work = q.copy(), self._forward_work
         for close, most in ((CLOSE, ITERATIONS), (0.0, 1)):  # the last step is down to rounding
-            newton(self._forward, out, np.empty((0, 7)), q[self.q], work, close, most)
+            _newton(self._forward, out, np.empty((0, 7)), q[self.q], work, close, most)
         return out
 
     def following(self, q: Array, speeds: Array) -> Array:
@@ -174,7 +177,7 @@ class Kinematics:
         loops.
         """
         tree, work = self._forward, self._forward_work
-        equations(tree, q.copy(), np.empty((0, 7)), q[self.q], work)
+        _equations(tree, q.copy(), np.empty((0, 7)), q[self.q], work)
         work.goal[:] = 0.0
         work.goal[-len(speeds) :] = speeds
         out = np.zeros(len(tree.armature))
@@ -185,8 +188,8 @@ class Kinematics:
     def rates(self, q: Array, twists: Array, held: Array | None = None) -> Array:
         """Joint rates ``(nv,)`` for twists ``(nt, 6)`` of the tools in W, at solved ``q`` (nq,)."""
         out = np.empty(len(self.tree.armature))
-        newton(self.tree, q.copy(), self.poses(q), q[self._held], self._work, CLOSE, 1)
-        rates(
+        _newton(self.tree, q.copy(), self.poses(q), q[self._held], self._work, CLOSE, 1)
+        _rates(
             self.tree,
             self._work,
             np.atleast_2d(twists),
@@ -211,7 +214,7 @@ class Kinematics:
         With N the motions that the loops allow (null space of their rows): twists = J N
         (N_driven)^+; the motions of N without motion of the driven joints are free.
         """
-        equations(self.tree, q.copy(), self.poses(q), q[self._held], self._work)
+        _equations(self.tree, q.copy(), self.poses(q), q[self._held], self._work)
         rows = self._work.rows[:, self.tree.unknown]
         count = len(rows) - 6 * len(self.tools) - len(self._held)
         allowed = _null_space(rows[:count])
@@ -227,7 +230,7 @@ class Kinematics:
 
     def allowed(self, q: Array) -> Array:
         """``(nv, f)`` orthonormal basis of all rates that keep the loops closed at ``q`` (nq,)."""
-        equations(self.tree, q.copy(), self.poses(q), q[self._held], self._work)
+        _equations(self.tree, q.copy(), self.poses(q), q[self._held], self._work)
         count = len(self._work.rows) - 6 * len(self.tools) - len(self._held)
         return _null_space(self._work.rows[:count])
 

@@ -205,7 +205,7 @@ class LimbKinematics(Kinematics):
         q, arm = (self.home if start is None else start).copy(), np.empty(3)
         pose = np.ascontiguousarray(np.ravel(poses), dtype=float)
         q[self.q] = [interpreted(slider)(limb, pose, arm) for limb in self.limbs]
-        rotate(pose[3:7], self._centre, arm)
+        interpreted(rotate)(pose[3:7], self._centre, arm)
         q[self._free : self._free + 3] = pose[:3] + arm
         q[self._free + 3 : self._free + 7] = pose[[6, 3, 4, 5]]
         anchors = pose[:3] + self.limbs[:, 6:9] @ rotation_matrix(pose[3:7]).T - self.limbs[:, :3]

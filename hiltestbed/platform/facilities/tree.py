@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.compiled.jit import interpreted
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_between, pose_compose, quat_from_mujoco, rotate
 
@@ -211,7 +212,7 @@ def _welded(data: Array) -> Array:
     """``(2, 7)``: the frames, one in each body, that a weld of two bodies holds together."""
     anchor, place, turn = data[0:3], data[3:6], quat_from_mujoco(data[6:10])
     moved = np.empty(3)
-    rotate(turn, anchor, moved)
+    interpreted(rotate)(turn, anchor, moved)
     return np.array([[*(place + moved), *turn], [*anchor, *_UPRIGHT]])
 
 
@@ -225,14 +226,14 @@ def site_pose(m: mujoco.MjModel, data: mujoco.MjData, name: str) -> Array:
 def compose(a: Array, b: Array) -> Array:
     """``(7,)`` pose of C in A, from those of B in A and of C in B."""
     out = np.empty(7)
-    pose_compose(a, b, out)
+    interpreted(pose_compose)(a, b, out)
     return out
 
 
 def between(a: Array, b: Array) -> Array:
     """``(7,)`` pose of B in A, from the poses of both in one frame."""
     out = np.empty(7)
-    pose_between(a, b, out)
+    interpreted(pose_between)(a, b, out)
     return out
 
 
