@@ -37,15 +37,9 @@ def _timed(scenario: Scenario) -> Scenario:
 
 
 def _problems(scenario: Scenario) -> Iterator[Problem]:
-    """Faults that need a model: of a mechanism's files, a start out of reach, an effect that cannot
-    act.
-    """
+    """Faults that need a model: of a mechanism's files, a start out of reach."""
     platform = scenario.rig.platform
-    if scenario.rig.upper.kind == "fixed" or platform.carries_upper:
-        yield from platform.problems(scenario)
-        if platform.start_needs_model:
-            yield from facility_problems(scenario)
-    for index, effect in enumerate(scenario.effects):
-        if reason := effect.unfit(scenario):
-            yield ("effects", index), reason
+    yield from platform.start_problems(scenario)
+    if platform.start_needs_model:
+        yield from facility_problems(scenario)
     yield from ((("mechanism",), message) for message in faults(scenario))

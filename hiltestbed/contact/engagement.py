@@ -27,7 +27,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.contact.composition import (
     ACTIVE,
     LATCH,
@@ -173,7 +173,7 @@ class Engagement:
             return
         k, force = self.latches.number(LATCH), np.zeros((len(new), 3))
         for i in np.flatnonzero(new):
-            rotate_back(self.frames[i, S, 3:7], self.wrench[i, :3], force[i])
+            interpreted(rotate_back)(self.frames[i, S, 3:7], self.wrench[i, :3], force[i])
         self.close(k, new, force)
         self._live[new] = False
 
@@ -223,7 +223,7 @@ class _Bodies:
             carry[:, f, :3], carry[:, f, 3:] = site.pos, site.quat[[1, 2, 3, 0]]
         for i in range(n):
             q = np.empty(4)
-            quat_mul(carry[i, S, 3:7], tilt[i, 3:7], q)
+            interpreted(quat_mul)(carry[i, S, 3:7], tilt[i, 3:7], q)
             carry[i, S, 3:7] = q
         self.bodies = CarriedFrames(np.zeros((n, count, 7)), np.zeros((n, count, 6)), carry)
         ids = np.array([m.body(PREFIXES[side] + body).id for side, body in names], dtype=np.int64)

@@ -7,7 +7,7 @@ order of magnitude from memory, not a figure that was looked up. Needs only pyda
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, Strict
@@ -79,6 +79,12 @@ class Platform(Strictly):
         command = getattr(self, "command", None)
         for path, message in command.problems(scenario.rate) if command else ():
             yield ("rig", "platform", "command", *path), message
+
+    def start_problems(self, scenario: Scenario) -> Iterable[Problem]:
+        """What else than the facility's own model says against the start. Paths: in the
+        scenario.
+        """
+        return ()
 
     def reference(self) -> dict[str, Any]:
         """The platform of a reference run without rig errors: the same, with exact tracking."""

@@ -165,12 +165,17 @@ def _problems(scenario: Scenario) -> Iterator[Problem]:
             f"{platform.kind!r}); allowed is fixed"
         )
         yield ("rig", "upper", "kind"), message
+    else:
+        yield from platform.problems(scenario)
     for index, effect in repeated(scenario.effects):
         message = (
             f"appears twice, and two effects {effect.kind!r} do not act together; allowed is one: "
             f"take one of them out"
         )
         yield ("effects", index), message
+    for index, effect in enumerate(scenario.effects):
+        if reason := effect.unfit(scenario):
+            yield ("effects", index), reason
 
 
 def _time_problems(scenario: Scenario) -> Iterator[Problem]:

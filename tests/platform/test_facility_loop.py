@@ -15,6 +15,7 @@ import pytest
 import hiltestbed
 from hiltestbed import load_scenario, read_run
 from hiltestbed.analysis.limits import drives_in_contact
+from hiltestbed.build import runnable
 from hiltestbed.campaign.sweep import sweep
 from hiltestbed.config.check import look_at
 from hiltestbed.errors import InputError
@@ -269,7 +270,7 @@ def test_a_joint_past_its_limit_stops_the_run() -> None:
 )
 def test_what_a_facility_cannot_play_is_said_before_the_run(kind, change, said) -> None:
     with pytest.raises(InputError, match=said):
-        bounce(kind, change)
+        runnable(bounce(kind, change))
 
 
 def test_a_response_in_place_of_drives_is_the_second_order_with_its_delay() -> None:

@@ -19,6 +19,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
+from hiltestbed.compiled.jit import interpreted
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, rotate_back, twist_between
 from hiltestbed.platform.facilities.facility import (
@@ -113,7 +114,7 @@ class PhysicalFacility(Facility):
     def in_body(self, side: str, vector: Array) -> Array:
         """A vector (3,) of W in the axes of an article's body at home."""
         out = np.empty(3)
-        rotate_back(self.place_of(side)[3:7], vector, out)
+        interpreted(rotate_back)(self.place_of(side)[3:7], vector, out)
         return out
 
     def fit(self, spec: mujoco.MjSpec, side: str, extra_mass: float, extra_inertia: Array) -> None:

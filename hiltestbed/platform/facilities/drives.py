@@ -301,9 +301,11 @@ class Drives(Mover):
 def mass_matrix(kinematics: Kinematics, model: mujoco.MjModel) -> Array:
     """``(J, J)``: forces of the driven joints per unit acceleration of each, at home."""
     tree, w, home = kinematics.tree, scratch(kinematics.tree), kinematics.home
-    newton(tree, home.copy(), kinematics.home_poses, kinematics.held_home, w, SOLVED, 1)
+    interpreted(newton)(
+        tree, home.copy(), kinematics.home_poses, kinematics.held_home, w, SOLVED, 1
+    )
     every = np.zeros((6 * len(kinematics.tools) + len(kinematics.prescribed), model.nv))
-    ways(tree, w, every)
+    interpreted(ways)(tree, w, every)
     # (J, nv): rates of all joints per unit rate of a driven joint
     reach = np.linalg.pinv(every[:, kinematics.v]) @ every
     data, mass = mujoco.MjData(model), np.empty((model.nv, model.nv))

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.config.models import model_of
 from hiltestbed.config.part import named
 from hiltestbed.errors import InputError
@@ -148,7 +148,7 @@ class MjcfFacility(Facility):
 
     def spec(self) -> mujoco.MjSpec:
         spec, into, gravity = mujoco.MjSpec(), self._into, np.empty(3)
-        rotate(into[3:7], self._gravity, gravity)
+        interpreted(rotate)(into[3:7], self._gravity, gravity)
         spec.attach(
             named(self.settings.file()),
             prefix=PREFIX,

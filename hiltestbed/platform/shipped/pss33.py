@@ -157,7 +157,6 @@ class Pss33(Driven):
     def problems(self, scenario: Scenario) -> Iterator[Problem]:
         yield from super().problems(scenario)
         if scenario.rig.upper.kind == "prs3":
-            yield from self._nine_axis_problems(scenario)
             return
         approach, reach = scenario.approach, self.workspace.translation
         turn = self.workspace.rotation_deg
@@ -181,8 +180,12 @@ class Pss33(Driven):
                     f"{high:g} {unit}",
                 )
 
-    def _nine_axis_problems(self, scenario: Scenario) -> Iterator[Problem]:
-        """The gap may be the upper platform's heave; the lower one must reach its share."""
+    def start_problems(self, scenario: Scenario) -> Iterator[Problem]:
+        """With nine axes the gap may be the upper platform's heave; the lower one must reach its
+        share.
+        """
+        if scenario.rig.upper.kind != "prs3":
+            return
         import numpy as np
 
         from hiltestbed.frames import quat_from_attitude_deg, rotation_vectors
