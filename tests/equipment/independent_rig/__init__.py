@@ -2,10 +2,10 @@
 diagnosis.
 
 Two free bodies, platform, contact, sensor and compensator, implemented independently from their
-definitions, with different sub-steps from the simulation: `closed_loop` is the tick of a tip on a
-plane (three axes), `six_axes` that of probe and cone, bumper or latch, rigid or on a compliant
-mount. Every effect of the vocabulary can be hidden in it, alone and in combination, and so can
-foreign effects, which are outside the vocabulary.
+definitions, with different sub-steps from the simulation; `closed_loop` is the tick. The mechanism
+is a point on a plane, a bumper, probe and cone, or a latch, rigid or on a compliant mount. Every
+effect of the vocabulary can be hidden in it, alone and in combination, and so can foreign effects,
+which are outside the vocabulary.
 
     rng = np.random.default_rng(7)
     hidden = draw_set(rng, "single")  # healthy | single | pair | triple | foreign | alike
