@@ -33,7 +33,6 @@ def test_a_planted_delay_is_found_to_a_fraction_of_a_sample(rate: float) -> None
     a = force(t_a) + rng.normal(0.0, 0.5, len(t_a))
     b = 0.9 * force(t_b - 7.0 - delay) + 3.0 + rng.normal(0.0, 0.5, len(t_b))
     found = shift_between(t_a, a, t_b, b)
-    assert found is not None
     # of 190 N, 0.5 N of noise
     assert found.delay == pytest.approx(7.0 + delay, abs=max(4.0 * found.sd, 2e-5))
     assert found.sd < 1e-4

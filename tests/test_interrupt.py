@@ -147,7 +147,6 @@ def test_no_ending_leaves_shared_memory(
         # a test run that was started with nohup or in the background ignores some of them
         preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
     ) as running:
-        assert running.stdout is not None
         name = running.stdout.readline().strip()
         assert name in os.listdir("/dev/shm")
         (os.killpg if group else os.kill)(running.pid, number)

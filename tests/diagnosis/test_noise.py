@@ -320,7 +320,6 @@ def test_of_baselines_that_wander_what_they_share_shows_beyond_their_spread(runs
             0.01 * rng.standard_normal((400, 6)) + a + b * bend for a, b in zip(*sway, strict=True)
         ]
         wander = wander_between([(at, x) for x in readings], np.full(6, 0.01))
-        assert wander is not None
         found.append(
             runs * np.mean([x.mean(axis=0) for x in readings], axis=0) ** 2 / wander[0] ** 2
         )

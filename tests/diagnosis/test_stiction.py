@@ -84,7 +84,6 @@ def test_a_stick_is_found_whenever_the_platform_obeys_and_the_pose_is_stamped(
     hidden = sticks(instants, stick, phase)
     link = approaching([*hidden, timing], (0.01, 0.016, 0.025))
     found = sticking(link, POSE_NOISE, 4)
-    assert found.timing is not None
     assert (found.timing.obeyed + found.timing.delay) / H == pytest.approx(
         late, abs=0.05 + 0.5 / instants
     )

@@ -53,7 +53,6 @@ def test_two_rigs_run_alike_under_the_same_effect(name: str, tmp_path: Path) -> 
         YAML(typ="safe").dump(facility.scenario, file)
     scenario = load_scenario(tmp_path / "nominal.yaml", set={**changes, "effects": effects})
     trace = simulated([scenario], trace=True).trace
-    assert trace is not None
     rig = nominal_rig(overridden(facility.scenario, changes))
     rig = with_effect(rig._replace(contact=rig.contact._replace(lever=0.5)), effects[0])
     records = simulate(rig, silence(rig.ticks))

@@ -175,7 +175,6 @@ def _field(segments: int) -> Row:
 
 def _turned(segments: int) -> Surface:
     found = recognise(*turned_cone(segments))
-    assert found is not None
     return Surface(TURNED, np.zeros(3), found.profile)
 
 

@@ -52,7 +52,8 @@ def nominal_rig(scenario: dict) -> Rig:
     that meets a plane, or is latched and free to turn; ideal tracking.
     """
     numbers = scenario["mechanism"]["contact"]
-    contact = Contact(*(float(numbers[name]) for name in ("stiffness", "damping", "friction")))
+    stiffness, damping, friction = (numbers[n] for n in ("stiffness", "damping", "friction"))
+    contact = Contact(float(stiffness), float(damping), float(friction))
     latched = scenario["mechanism"]["kind"] == "latched"
     point = Docking(Surfaces(tip=0.0, flat=True), contact, no_mount(), from_start=latched, ring=0.0)
     delay = float(scenario["sensor"]["delay"])
