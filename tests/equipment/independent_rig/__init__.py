@@ -12,7 +12,7 @@ which are outside the vocabulary.
     hidden = draw_set(rng, "pair", names=("contact.preload", "sensor.hum"), design="docking")
     hidden = draw_set(rng, "healthy", noise=("coloured", 0.1), nuisances=draw_nuisances(rng))
     write_set("folder", hidden)  # nominal.yaml, dataset.yaml, run_0.parquet ... run_5.parquet
-    hidden.truth  # effects, their links and strengths relative to the noise
+    hidden.effects, hidden.links, hidden.strengths  # the truth; strengths relative to the noise
 
 Contact and sensor (and the frame) affect the same records, pose_act and wrench_meas: either is a
 right link for an effect of the other.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from numpy.random import Generator
@@ -38,7 +38,6 @@ Kind = Literal["healthy", "single", "pair", "triple", "foreign", "alike"]
 Design = Literal["bumper", "docking", "mounted", "held"]
 FACILITIES = 200  # largest number of draws for a set
 STRONG_ENOUGH = 150  # draws after which a weak effect is accepted too
-WEAKEST = 0.3  # smallest strength of an observable effect
 
 
 @dataclass(frozen=True)
@@ -72,21 +71,6 @@ class HiddenSet:
     nuisances: Nuisances = AS_TODAY
     rival: dict[str, Any] | None = None
 
-    @property
-    def truth(self) -> dict[str, Any]:
-        """Contents of `truth.yaml`; entries equal to those of a plain bumper set are omitted."""
-        weak = [e["kind"] for e, s in zip(self.effects, self.strengths, strict=True) if s < WEAKEST]
-        found = {name: getattr(self, name) for name in ("kind", "effects", "links", "strengths")}
-        found |= {"unobservable": weak, "variants": self.variants}
-        found["design"] = sorted(self.facility.design)
-        if self.rival is not None:
-            found["rival"] = self.rival
-        if self.noise is not None:
-            found["noise"] = {"kind": self.noise[0], "strength": self.noise[1]}
-        if self.nuisances != AS_TODAY:
-            found["nuisances"] = asdict(self.nuisances)
-        return found
-
 
 def draw_set(
     rng: Generator,
@@ -98,7 +82,6 @@ def draw_set(
     design: Design = "bumper",
     noise: tuple[str, float] | None = None,
     nuisances: Nuisances | None = None,
-    twists: bool = False,
     pair: Pair | None = None,
 ) -> HiddenSet:
     """Draw a set with hidden effects.
@@ -112,7 +95,6 @@ def draw_set(
             compliant mount) | held (latched).
         noise: kind and strength of `NOISE_KINDS` instead of the white noise. nuisances: of the
             facility's computation.
-        twists: whether the logs contain velocities too.
         pair: for kind alike, the pair of `LOOK_ALIKES`, the first of which is hidden; None: a
             random pair in random order.
 
@@ -140,7 +122,7 @@ def draw_set(
         if scale == 1.0 and attempt < STRONG_ENOUGH and any(s < least_strength for s in strengths):
             continue
         rigs = [rig_of(facility, i, effects, variants, how) for i in range(len(facility.runs))]
-        runs, logs = record(rng, facility, rigs, how, noise, twists)
+        runs, logs = record(rng, facility, rigs, how, noise)
         if stable(facility, runs):
             return HiddenSet(
                 kind,
