@@ -38,12 +38,6 @@ def test_a_run_is_read_back_as_it_was(short_run, tmp_path: Path) -> None:
             assert metadata[b"frame"]
 
 
-def test_the_same_seed_gives_the_same_file(short_run, tmp_path: Path) -> None:
-    first = write_run(short_run, tmp_path / "first", rerun=False)
-    second = write_run(run(short_run.scenario), tmp_path / "second", rerun=False)
-    assert (first / "trace.parquet").read_bytes() == (second / "trace.parquet").read_bytes()
-
-
 def test_what_fails_half_way_leaves_what_was_there(
     short_run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
