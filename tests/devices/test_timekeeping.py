@@ -39,12 +39,12 @@ class Wall(WallClock):
         self.slept += seconds
 
 
-def _faults(arrivals: np.ndarray, limit: float | None = LIMIT) -> tuple[float, str | None, float]:
+def _faults(arrivals: np.ndarray) -> tuple[float, str | None, float]:
     """A clock whose k-th record comes at ``arrivals[k]`` [s], two seconds before arming and after:
     its factor at arming, the fault after it, and the wall time of that.
     """
     wall = Wall()
-    keeper = Timekeeper(TICK, limit, wall)
+    keeper = Timekeeper(TICK, LIMIT, wall)
     factor, right = np.nan, None
     for k, at in enumerate(arrivals):
         wall.at = float(at)
