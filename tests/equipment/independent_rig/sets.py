@@ -52,11 +52,9 @@ class HiddenSet:
         strengths: of the effects, in their order: rms change of the link's records by the effect
             during contact, in units of their noise, with the loop opened before the link.
             Unobservable below about 0.3.
-        variants: interpretations of the definitions where they leave a choice: see `draw_variants`.
         runs: the records of each run, with noise, in the order of the facility's runs; logs: their
             logs, as written to files.
-        noise, nuisances: as requested. rival: for kind alike, the effect that
-            looks like the hidden one.
+        noise, nuisances: as requested.
     """
 
     kind: Kind
@@ -64,12 +62,10 @@ class HiddenSet:
     effects: list[dict[str, Any]]
     links: list[str]
     strengths: list[float]
-    variants: dict[str, Any]
     runs: list[Records] = field(repr=False)
     logs: list[Log] = field(repr=False, default_factory=list)
     noise: tuple[str, float] | None = None
     nuisances: Nuisances = AS_TODAY
-    rival: dict[str, Any] | None = None
 
 
 def draw_set(
@@ -103,7 +99,6 @@ def draw_set(
     """
     _known(names, design, noise, pair)
     how = nuisances or AS_TODAY
-    rival = None
     for attempt in range(FACILITIES):
         chosen = names or _names(rng, kind, design, pair)
         facility = (
@@ -113,8 +108,7 @@ def draw_set(
         )
         if kind == "alike":
             both = draw_look_alike(rng, _ordered(chosen), facility, scale)
-            hidden, rival = both if both[0]["kind"] == chosen[0] else both[::-1]
-            effects = [hidden]
+            effects = [e for e in both if e["kind"] == chosen[0]]
         else:
             effects = draw_effects(rng, chosen, facility, scale)
         variants = draw_variants(rng)
@@ -130,12 +124,10 @@ def draw_set(
                 effects,
                 [link_of(e["kind"]) for e in effects],
                 [round(s, 3) for s in strengths],
-                variants,
                 runs,
                 logs,
                 noise,
                 how,
-                rival,
             )
     raise RuntimeError(f"no stable set with {names or kind} at scale {scale} in {FACILITIES} draws")
 
