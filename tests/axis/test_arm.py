@@ -55,7 +55,7 @@ def moved(size: float, rng: np.random.Generator) -> np.ndarray:
     )
     data, dry = mujoco.MjData(model), np.array(list(COULOMB.values()))
     rows = []
-    for k in range(4000):
+    for k in range(2500):
         t = k * TICK
         goal = size * np.array([np.sin(1.9 * t) + 0.4 * np.sin(4.7 * t), np.sin(2.7 * t + 1.0)])
         torque = np.array([150.0, 60.0]) * (goal - data.qpos) - np.array([12.0, 4.0]) * data.qvel
