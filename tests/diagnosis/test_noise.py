@@ -28,7 +28,7 @@ SIGMA = np.array([0.2, 0.2, 0.3, 0.02, 0.02, 0.01])  # [N, N m]
 ALONG = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
-def read(reading: Array, contact: Array, moved: Array | None = None) -> MeasuredRun:
+def read(reading: Array, contact: np.ndarray, moved: Array | None = None) -> MeasuredRun:
     """A run of these readings (ROWS, 6), with one stretch of rows in ``contact``; where A ``moved``
     [m] along z, it is held by a latch throughout.
     """

@@ -187,7 +187,8 @@ def test_the_forces_of_drives_in_a_contact_are_foreseen(kind: str) -> None:
     scenario = bounce(kind, soft | {"approach.velocity": [0.0, 0.0, 0.2]})
     drives, loop = demand_of(scenario), Loop([scenario])
     assert drives is not None
-    tracking: Any = loop.plant._tracking
+    plant: Any = loop.plant
+    tracking = plant._tracking
     columns = [tracking.model.joint(axis.joint).dofadr[0] for axis in drives.axes]
     peak, found = 0.0, np.zeros(len(columns))
     for _ in range(int(scenario.duration * scenario.rate)):
@@ -204,8 +205,8 @@ def test_a_check_says_which_contact_a_drive_cannot_exert(tmp_path: Path) -> None
     hard = {"mechanism.contact.stiffness": 3.0e6, "approach.velocity": [0.0, 0.0, 2.0]}
     file = tmp_path / "hard.yaml"
     file.write_text(dump_scenario(bounce("serial_arm", hard)))
-    said = [text for text in look_at(file).remarks if "of the drive of joint" in text]
-    found = re.search(r"joint a.*its limit is .* N m; approach at less than (\S+) m/s", *said)
+    (said,) = (text for text in look_at(file).remarks if "of the drive of joint" in text)
+    found = re.search(r"joint a.*its limit is .* N m; approach at less than (\S+) m/s", said)
     for share, count in ((0.99, 0), (1.01, 1)):
         speed = {"approach.velocity.2": share * float(found[1])}
         remarks = look_at(file, speed).remarks
