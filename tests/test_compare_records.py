@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from hiltestbed.analysis.record_comparison import shift_between
@@ -52,10 +53,7 @@ def test_delays_of_two_logs_are_a_ledger(call, tmp_path: Path) -> None:
             "position": 1e3 * pose(t - platform),
             "load": force(t - platform - sensor) + rng.normal(0.0, 0.3, len(t)),
         }
-        rows = np.column_stack(list(columns.values()))
-        np.savetxt(
-            tmp_path / f"{name}.csv", rows, delimiter=",", header=",".join(columns), comments=""
-        )
+        pd.DataFrame(columns).to_csv(tmp_path / f"{name}.csv", index=False)
     (tmp_path / "dataset.yaml").write_text(
         """scenario: reference-bumper
 runs: [{file: a.csv}, {file: b.csv}]
