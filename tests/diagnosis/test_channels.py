@@ -208,6 +208,16 @@ def test_a_compensation_that_hangs_on_the_measured_rate_is_not_judged_by_a_diffe
     assert lay_out(load_dataset(partial(tmp_path, DAMPED, (*groups, *rates)))).missing == {}
 
 
+def test_a_path_has_the_rates_that_are_on_record(tmp_path: Path) -> None:
+    rig = ("05-off-centre", {"duration": 0.4, "approach.gap": 0.001, "compensation.force": KNOWN})
+    layout = lay_out(load_dataset(partial(tmp_path, rig, (*MEASURED, "pose_cmd", "twist_act"))))
+    path = best_path(layout, None)
+    assert path.rates_measured
+    for poses, rates in zip(path.poses, path.rates, strict=True):
+        slope = np.gradient(poses[:, :3], layout.scales.tick, axis=0)
+        np.testing.assert_allclose(rates[:, :3], slope, atol=0.02 * np.abs(slope).max())
+
+
 def test_a_compensation_that_does_nothing_may_copy_an_axis(tmp_path: Path) -> None:
     """It used to be refused as a copy, since a torque that is not on record is not a number."""
     rig = ("07-single-drive", {"duration": 0.4})
