@@ -213,6 +213,7 @@ def test_a_path_has_the_rates_that_are_on_record(tmp_path: Path) -> None:
     layout = lay_out(load_dataset(partial(tmp_path, rig, (*MEASURED, "pose_cmd", "twist_act"))))
     path = best_path(layout, None)
     assert path.rates_measured
+    assert path.rates is not None
     for poses, rates in zip(path.poses, path.rates, strict=True):
         slope = np.gradient(poses[:, :3], layout.scales.tick, axis=0)
         np.testing.assert_allclose(rates[:, :3], slope, atol=0.02 * np.abs(slope).max())
