@@ -28,7 +28,6 @@ def test_what_becomes_of_a_docking(name: str, outcome: str, contacts: int) -> No
     assert told["outcome"] == outcome
     assert len(told["contact_events"]) == contacts
     assert (told["captured_at"] is not None) == (outcome == "captured")
-    assert batch.trace is not None
     total = sum(np.array(e["impulse"]) for e in told["contact_events"]) if contacts else np.zeros(3)
     force = batch.trace["wrench_true"][:, 0, :3]
     np.testing.assert_allclose(total, force.sum(axis=0) / 2000.0, atol=1e-6)
@@ -62,7 +61,6 @@ def test_a_docking_turned_about_the_axis_is_the_same_docking() -> None:
     }
     turned = shipped("09-docking", still | keys)
     batch = simulate([base, turned], trace=True)
-    assert batch.trace is not None
     depth, force = batch.trace.data["pose_act"][:, :, 2], batch.trace.data["wrench_true"][:, :, 2]
     assert np.abs(depth[:, 0] - depth[:, 1]).max() < 1e-6 * np.abs(depth).max()
     assert np.abs(force[:, 0] - force[:, 1]).max() < 1e-6 * force.max()

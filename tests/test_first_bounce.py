@@ -102,7 +102,6 @@ def test_a_bounce_in_a_cone_is_foretold(k, c, damped, stable) -> None:
     """
     s = light_tip(k, c)
     done = run(s)
-    assert done.trace is not None
     said = {d["direction"]: d for d in done.summary["stability"]["directions"]}[
         "along the normal of the first touch"
     ]
@@ -277,6 +276,5 @@ def test_a_stiffness_that_an_effect_of_the_contact_does_not_bear_is_not_simulate
     """A gram on 1 GN/m would ring in 1,250 steps an instant, which no scenario may."""
     ringing = {"kind": "frame.mode", "frequency": 1.0e4, "damping_ratio": 0.1, "mass": 1e-3}
     simulated = first_contact(shipped("02-bumper", {"effects": [ringing]}))
-    assert simulated is not None
     assert simulated.bounce(0.0) is not None
     assert simulated.bounce(0.0, 1.0e4) is None

@@ -37,7 +37,6 @@ def test_the_coefficient_of_restitution_is_that_of_the_last_speed(
         {"sensor.delay": 0.02, "sensor.noise": noise, "compensation.force": force},
     )
     result = run(scenario)
-    assert result.trace is not None
     last = -float(result.trace.data["twist_cmd"][-1].ravel()[2]) / scenario.approach.velocity[2]
     assert result.summary["cor"] == pytest.approx(last, abs=1e-2 if noise else 2e-3)
 

@@ -117,7 +117,6 @@ def test_the_critical_damping_of_a_second_order_with_delay() -> None:
     for factor, stable in ((1.02, True), (0.98, False)):
         scenario = late(factor * closed)
         found = judge(scenario, response, 0.0, True, insertion(scenario), None)
-        assert found is not None
         assert found.stable is stable
     around = np.array([0.9, 0.95, 1.0, 1.05, 1.1]) * closed
     t, x = motion([late(float(c)) for c in around])
@@ -232,7 +231,6 @@ def test_a_probe_that_meets_the_cone_off_the_axis_turns_both_bodies() -> None:
         "09-docking", {"approach.offset": [0.06, 0.0], "approach.attitude_deg": [0.0, 0.0, 0.0]}
     )
     touch = first_touch(s)
-    assert touch is not None
     row, half = touch[0], math.sqrt(0.5)  # the cone has half an angle of 45 degrees
     expected = np.concatenate([[half, 0.0, half], np.cross([0.0, 0.0, -0.03], [half, 0.0, half])])
     np.testing.assert_allclose(row, expected, atol=1e-6)

@@ -100,8 +100,6 @@ def test_a_run_folder_runs_again(tmp_path: Path, way: str) -> None:
     again = load_scenario(tmp_path / "elsewhere" / "scenario.yaml")
     assert scenario_sha256(again) == first.summary["scenario_sha256"]
     trace = simulate([again], trace=True).trace
-    assert trace is not None
-    assert first.trace is not None
     np.testing.assert_array_equal(trace.run(0)["wrench_true"], first.trace["wrench_true"])
 
 

@@ -139,7 +139,9 @@ def _run() -> int:
         )
     except MemoryError as error:
         return _fail(error, "out of memory; a shorter duration or a lower rate needs less", 1)
-    except Exception as error:  # whatever a library makes of an allocation that failed
+    except Exception as error:  # whatever a library makes of Ctrl-C or a failed allocation
+        if interrupt.asked():
+            return _fail(error, "interrupted", 1)
         if memory.limit() is None:
             raise
         return _fail(error, memory.sentence(error), 1)

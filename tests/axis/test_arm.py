@@ -10,6 +10,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
@@ -55,7 +56,7 @@ def moved(size: float, rng: np.random.Generator) -> np.ndarray:
     )
     data, dry = mujoco.MjData(model), np.array(list(COULOMB.values()))
     rows = []
-    for k in range(4000):
+    for k in range(2500):
         t = k * TICK
         goal = size * np.array([np.sin(1.9 * t) + 0.4 * np.sin(4.7 * t), np.sin(2.7 * t + 1.0)])
         torque = np.array([150.0, 60.0]) * (goal - data.qpos) - np.array([12.0, 4.0]) * data.qvel
@@ -73,13 +74,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     where, rng = tmp_path_factory.mktemp("arm"), np.random.default_rng(3)
     (where / "arm.urdf").write_text(URDF)
     for number, size in enumerate((0.5, 0.8, 1.1)):
-        np.savetxt(
-            where / f"run_{number}.csv",
-            moved(size, rng) * [1.0, np.degrees(1.0), np.degrees(1.0), 1.0, 1.0],
-            delimiter=",",
-            header="t,q1,q2,tau1,tau2",
-            comments="",
-        )
+        rows = pd.DataFrame(moved(size, rng), columns=["t", "q1", "q2", "tau1", "tau2"])
+        rows[["q1", "q2"]] = np.degrees(rows[["q1", "q2"]])
+        rows.to_csv(where / f"run_{number}.csv", index=False)
     (where / "arm.yaml").write_text(
         """axis: arm
 model: arm.urdf
@@ -255,11 +252,9 @@ def test_a_joint_that_rests_in_a_run_is_no_record_of_it(folder: Path, tmp_path: 
     """Its encoder shows noise alone, and dry friction leaves its torque open."""
     for name in ("arm.urdf", "arm.yaml", "run_1.csv", "run_2.csv"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
-    table = np.loadtxt(folder / "run_0.csv", delimiter=",", skiprows=1)
-    table[:, 2] = 20.0 + np.degrees(NOISE) * np.random.default_rng(4).standard_normal(len(table))
-    np.savetxt(
-        tmp_path / "run_0.csv", table, delimiter=",", header="t,q1,q2,tau1,tau2", comments=""
-    )
+    rows = pd.read_csv(folder / "run_0.csv")
+    rows["q2"] = 20.0 + np.degrees(NOISE) * np.random.default_rng(4).standard_normal(len(rows))
+    rows.to_csv(tmp_path / "run_0.csv", index=False)
     model = load_axis(tmp_path / "arm.yaml").model()
     assert model.recorded == ("run_0.csv", "run_1.csv", "run_2.csv")
     assert model.runs[:2] == ("run_0.csv: shoulder", "run_1.csv: shoulder")

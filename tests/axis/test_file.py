@@ -91,7 +91,6 @@ def test_what_was_found_is_read_back_and_leaves_nothing_to_find(folder):
     result = json.loads((out / "diagnosis.json").read_text())
     assert result["verdict"] == diagnosis.verdict
     assert result["heldout"]["reduction"] > 0.9
-    assert diagnosis.conclusion is not None
     again = load_axis(out / "extended.yaml")
     left = again.model().residuals(diagnosis.conclusion.null.of)
     shown = diagnosis.conclusion.fit.left

@@ -39,7 +39,6 @@ def test_noise_follows_nothing_and_stands_nowhere() -> None:
 
 def test_dry_friction_follows_the_speed_by_its_share_of_the_squares() -> None:
     found = left_by(lambda run, t, x, v: 3.0 * np.sign(v))
-    assert found.follows is not None
     assert found.follows.quantity == "speed"
     # less what as many means of the independent samples would hold by chance
     assert 0.75 < found.follows.share < 9.0 / (9.0 + NOISE**2) + 0.01
@@ -50,7 +49,6 @@ def test_dry_friction_follows_the_speed_by_its_share_of_the_squares() -> None:
 
 def test_a_stop_stands_where_it_is() -> None:
     found = left_by(lambda run, t, x, v: 2e3 * np.maximum(x - 0.02, 0.0))
-    assert found.dense is not None
     assert found.dense.quantity == "position"
     assert 0.02 < found.dense.low < found.dense.high < 0.031
 
@@ -64,7 +62,6 @@ def test_a_tone_is_told_by_its_frequency_and_a_run_by_its_name() -> None:
 
 def test_an_event_is_told_by_its_time() -> None:
     found = left_by(lambda run, t, x, v: 30.0 * ((t > 6.0) & (t < 6.2)))
-    assert found.dense is not None
     assert found.dense.quantity == "time"
     assert found.dense.low == pytest.approx(6.0, abs=0.1)
     assert found.dense.high == pytest.approx(6.2, abs=0.1)

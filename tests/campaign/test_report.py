@@ -50,7 +50,6 @@ def test_each_choice_has_a_row_and_the_best_is_named(swept: Sweep) -> None:
     assert rows == [("phase_lead (lag 0.001) (best)", "36"), ("none", "36")]
     assert "compensation.force (a choice)" in page
     command = re.search(r"<pre>(.*?)</pre>", page)
-    assert command is not None
     assert command[1].startswith(f"hiltestbed run {swept.folder}/campaign.yaml --case ")
 
 

@@ -22,7 +22,6 @@ def test_ishigami() -> None:
     x = math.pi * (2.0 * points(2048, 3) - 1.0)
     f = np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
     found = sensitivity(["a", "b", "c"], x, f, [False] * 3)
-    assert found is not None
     assert found.explained > 0.99
     first, total = (0.3139, 0.4424, 0.0), (0.5576, 0.4424, 0.2437)
     assert [i.first_order for i in found.indices] == pytest.approx(first, abs=0.01)
@@ -36,7 +35,6 @@ def test_a_choice_counts_like_any_key() -> None:
     offset = np.array([0.0, 1.0, -0.5])
     y = u[:, 0] + offset[choice.astype(int)]
     found = sensitivity(["x", "c"], np.column_stack([u[:, 0], choice]), y, [False, True])
-    assert found is not None
     share = (1.0 / 12.0) / (1.0 / 12.0 + offset.var())
     for index, expected in zip(found.indices, (share, 1.0 - share), strict=True):
         assert index.first_order == pytest.approx(expected, abs=0.01)
@@ -50,7 +48,6 @@ def test_a_choice_that_turns_the_sign_is_interaction_alone() -> None:
     found = sensitivity(
         ["x", "s"], np.column_stack([u[:, 0], sign]), (u[:, 0] - 0.5) * sign, [False, True]
     )
-    assert found is not None
     assert [i.total for i in found.indices] == pytest.approx([1.0, 1.0], abs=0.02)
     assert [i.first_order for i in found.indices] == pytest.approx([0.0, 0.0], abs=0.02)
 
@@ -59,7 +56,6 @@ def test_noise_is_not_explained_and_few_cases_give_nothing() -> None:
     rng = np.random.default_rng(2)
     x = rng.random((400, 3))
     found = sensitivity(["a", "b", "c"], x, rng.normal(size=400), [False] * 3)
-    assert found is not None
     assert found.explained < 0.05
     assert sensitivity(["a"], x[:30, :1], x[:30, 0], [False]) is None
     assert sensitivity(["a"], x[:, :1], np.ones(400), [False]) is None

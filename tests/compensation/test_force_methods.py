@@ -209,7 +209,6 @@ def test_a_dead_zone_takes_small_forces_for_none_and_leaves_the_others() -> None
         {"kind": "dead_zone", "width": 50.0}
     )
     trace = simulate([scenario], trace=True).trace
-    assert trace is not None
     measured, used = trace["wrench_meas"][:, 0, 2], trace["wrench_comp"][:, 0, 2]
     assert np.array_equal(used, np.where(np.abs(measured) > 50.0, measured, 0.0))
     assert measured.max() > 200.0

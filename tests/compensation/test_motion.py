@@ -60,7 +60,6 @@ def test_after_a_contact_noise_is_not_corrected_for_the_lag() -> None:
     90 N, long after they had parted.
     """
     result = run(load_scenario("26-force-compensation"))
-    assert result.trace is not None
     # 20 ms: the delay of 5 ms, and the memory of the lead
     apart = np.flatnonzero(result.trace.contact.ravel())[-1] + 40
     used = result.trace.data["wrench_comp"].reshape(-1, 6)[apart:, 2]
@@ -106,6 +105,5 @@ def test_the_numerical_model_need_not_notice_that_the_platform_yields() -> None:
 
 def test_feed_forward_tells_the_velocity_of_the_tick() -> None:
     result = bounce([BenchContact(4.0, 0.0, 0.05, tracking="servo").scenario(BARE)], trace=True)
-    assert result.trace is not None
     told, reached = (result.trace[name][: result.loop.k, 0, 2] for name in ("pose_cmd", "pose_act"))
     assert np.abs(told[:-1] - reached[1:]).max() < 0.02 * np.abs(told).max()

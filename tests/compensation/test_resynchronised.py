@@ -114,7 +114,6 @@ def test_a_delay_that_is_right_stands_to_the_byte() -> None:
     for delay in ("known", "estimate"):
         scenarios = [c.scenario({"kind": "resynchronised", "delay": delay}) for c in contacts]
         trace = simulate(scenarios, trace=True).trace
-        assert trace is not None
         traces.append(trace["pose_cmd"])
     assert np.array_equal(*traces, equal_nan=True)
 
@@ -141,7 +140,6 @@ def test_the_wrench_that_is_recorded_explains_the_commanded_motion() -> None:
         "05-off-centre", set={"compensation.force.kind": "resynchronised", "duration": 0.6}
     )
     trace = simulate([scenario], trace=True).trace
-    assert trace is not None
     craft = NumericalModel([scenario])
     for k in range(scenario.ticks):
         craft.advance(trace["wrench_comp"][k])
@@ -161,8 +159,6 @@ def test_free_flight_is_undisturbed_by_noise() -> None:
         ).trace
         for noise in (0.0, 1.0)
     )
-    assert quiet is not None
-    assert noisy is not None
     assert noisy["wrench_meas"].std() > 0.1
     assert np.array_equal(quiet["pose_cmd"], noisy["pose_cmd"])
 
@@ -177,7 +173,5 @@ def test_a_run_is_the_run_in_a_batch_bit_for_bit() -> None:
         simulate(scenarios, trace=True).trace,
         simulate([scenarios[7]], trace=True).trace,
     )
-    assert together is not None
-    assert alone is not None
     for name in ("pose_cmd", "wrench_comp", "pose_act"):
         assert np.array_equal(together[name][:, 7], alone[name][:, 0])

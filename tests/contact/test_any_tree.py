@@ -167,7 +167,6 @@ def same_trace(folder: Path, *what: object, within: float = 1e-9) -> float:
         scenario = written(place, active, passive, moves, depth, *capture)  # type: ignore[arg-type]
         batch = simulate([scenario], trace=True)
         assert not batch.trouble
-        assert batch.trace is not None
         traces.append(batch.trace.run(0)["wrench_true"])
     peak = float(np.abs(traces[0]).max())
     np.testing.assert_allclose(traces[1], traces[0], rtol=0.0, atol=within * peak)

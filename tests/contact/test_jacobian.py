@@ -29,10 +29,8 @@ def held(name: str, until: float) -> tuple[Plant, np.ndarray, np.ndarray]:
         loop.step()
     plant = loop.plant
     assert isinstance(plant, Plant)
-    assert plant.phases is not None
     assert plant.phases.begun[0] == len(s.mechanism.phases())
     close = s.mechanism.phases()[-1].close
-    assert close is not None
     return plant, plant.pose_act[0].copy(), sides_of(s.mechanism).sites["A", close.active][1][:3]
 
 
@@ -84,7 +82,6 @@ def test_the_sum_over_the_springs_is_what_the_wrench_says(
     """
     plant, start, lever = held(name, until)
     found = plant.held_pair(0)
-    assert found is not None
     stiffness, damping = measured(plant, start, lever, 300)
     scale = np.sqrt(np.outer(np.diag(found[0]), np.diag(found[0])))
     axes = [0, 1, 3, 4, 5] if name == "16-probe-drogue" else list(range(6))

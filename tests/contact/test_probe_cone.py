@@ -15,15 +15,13 @@ from hiltestbed.contact.facets import NORM, SLIP
 from hiltestbed.frames import Array
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario
-from tests.contact.cone_in_closed_form import GENERATOR as LENGTH
-from tests.contact.cone_in_closed_form import HALF_ANGLE as ALPHA
-from tests.contact.cone_in_closed_form import ROD_RADIUS
-from tests.contact.cone_in_closed_form import SHELL as EDGE
-from tests.contact.cone_in_closed_form import SOCKET_RADIUS as R
-from tests.contact.cone_in_closed_form import TIP_RADIUS as BALL
+from tests.equipment.independent_rig.cone import Surfaces
 from tests.platform.rigs import pose, scenario
 
 K = 1e5
+SHAPE = Surfaces()
+BALL, ROD_RADIUS, R, EDGE = SHAPE.tip, SHAPE.rod, SHAPE.socket, SHAPE.half_wall
+ALPHA, LENGTH = SHAPE.half_angle, SHAPE.generator
 SINGLE = 1e-8  # [m] vertices of a mesh are single precision numbers
 BALLS, ROD = 1, 0  # places of the facets of ball and rod
 

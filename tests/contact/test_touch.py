@@ -89,7 +89,6 @@ def test_walls_that_meet_at_once_are_parallel_springs(tmp_path: Path, angle: flo
     ):
         s = scenario(tmp_path, angle, False, **{"approach.offset": list(offset)})
         touch = first_touch(s)
-        assert touch is not None
         assert touch.contacts == number
         np.testing.assert_allclose(touch.row[:3], row, atol=1e-6)
         assert touch.stiffness == pytest.approx(size * K, rel=1e-6)

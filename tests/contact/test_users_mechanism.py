@@ -21,6 +21,7 @@ from hiltestbed.measured import load_dataset
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario, load_scenario, scenario_sha256
 from hiltestbed.simulation import simulate
+from tests.diagnosis.recorded import dataset_of
 from tests.running import run
 from tests.slow import SLOW
 
@@ -106,7 +107,6 @@ def test_it_docks(folder: Path) -> None:
     assert not run.trouble
     assert run.outcomes[0]["outcome"] == "captured"
     assert run.outcomes[0]["phases"][0]["at"] < 2.5
-    assert run.trace is not None
     wrench = run.trace.run(0)["wrench_true"]
     assert np.abs(wrench[:, 2]).max() > 20.0
 
@@ -218,29 +218,12 @@ def test_its_folder_replays(folder: Path, tmp_path: Path) -> None:
     simulate([again])
 
 
-def recorded(folder: Path, **more: object) -> Path:
+def recorded(folder: Path, *effects: dict[str, object], **believed: object) -> Path:
     """The dataset of two runs at two speeds, believed to be without effects."""
-    entries = []
-    noise = {
-        "sensor.noise": 0.1,
-        "sensor.torque_noise": 0.01,
-        "approach.gap": 0.045,
-        "duration": 0.4,
-    }
-    believed = {"approach.gap": 0.045} | {
-        key: value for key, value in more.items() if key != "effects"
-    }
-    for seed, speed in enumerate((0.2, 0.16)):
-        changed = {**noise, "approach.velocity.2": speed, "seed": seed, **more}
-        write_run(run(mine(folder, **changed)), folder / f"run{seed}", rerun=False, report=False)
-        entries.append(
-            {
-                "file": f"run{seed}/trace.parquet",
-                "set": {"approach.velocity": [0, 0, speed], **believed},
-            }
-        )
-    (folder / "data.yaml").write_text(json.dumps({"scenario": "mine.yaml", "runs": entries}))
-    return folder / "data.yaml"
+    noise = {"sensor.noise": 0.1, "sensor.torque_noise": 0.01, "duration": 0.4}
+    told = {"approach.gap": 0.045, **believed}
+    sets = [{"approach.velocity": [0, 0, speed], **told} for speed in (0.2, 0.16)]
+    return dataset_of(folder, mine(folder), sets, effects, unknown=noise)
 
 
 def verdict_on(dataset: Path) -> Verdict:
@@ -252,10 +235,8 @@ def verdict_on(dataset: Path) -> Verdict:
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 def test_what_departs_in_it_is_named(folder: Path, tracking: str) -> None:
     """The plunger's force hangs on how A moved before, which the diagnosis plays."""
-    hidden = [{"kind": "contact.stiffness", "factor": 1.3}]
-    found = diagnose(
-        recorded(folder, **{"rig.platform.tracking": tracking, "effects": hidden})
-    ).finding
+    hidden = {"kind": "contact.stiffness", "factor": 1.3}
+    found = diagnose(recorded(folder, hidden, **{"rig.platform.tracking": tracking})).finding
     assert found.verdict == "named"
     assert not found.not_judged
     (cause,) = found.causes

@@ -61,13 +61,13 @@ OWN = range(20_000 + WORKER, 32_000, WORKERS)
 PORTS = cycle(random.sample(OWN, len(OWN)))
 
 
-def free_ports(count: int, kind: int = socket.SOCK_DGRAM) -> list[int]:
+def free_ports(count: int) -> list[int]:
     """Ports of the loopback address that nobody uses just now, that the kernel gives nobody of
     itself (Linux: those below 32768), and that no other test is given.
     """
     held: list[socket.socket] = []
     while len(held) < count:
-        opened = socket.socket(socket.AF_INET, kind)
+        opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             opened.bind(("127.0.0.1", next(PORTS)))
             held.append(opened)

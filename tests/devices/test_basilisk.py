@@ -40,7 +40,6 @@ def docking(tables_as_shipped: None) -> ModuleType:
 
 def ln_cor(scenario: Scenario) -> float:
     summary = run(scenario).summary
-    assert summary is not None
     return math.log(summary["cor"])
 
 
@@ -58,7 +57,6 @@ def test_the_rig_in_basilisk_moves_as_basilisk_in_the_rig(docking: ModuleType) -
     """Tick by tick, in six axes."""
     rows = np.array(docking.dock(load_scenario("05-off-centre", TURNING)).rows)
     inside = run(load_scenario("05-off-centre", TURNING | MODEL))
-    assert inside.trace is not None
     poses = np.column_stack([inside.trace[name] for name in GROUPS["pose_cmd"].columns])
     np.testing.assert_allclose(rows[1 : len(poses) + 1, 1:8], poses, rtol=0.0, atol=1e-12)
 

@@ -174,7 +174,6 @@ def test_the_rig_of_a_scenario_in_fmpy_bounces_as_the_run_does(tmp_path: Path) -
     file.write_text(dump_scenario(scenario), encoding="utf-8")
     packed = pack("hiltestbed.devices.physical:from_file", file, tmp_path)
     alone = run(scenario).trace
-    assert alone is not None
     model, wrench = NumericalModel([scenario]), np.zeros(6)
     with CoSimulation(packed, COMMAND, WRENCH) as fmu:
         path = np.empty((scenario.ticks, 7))
@@ -257,8 +256,6 @@ def _run(fmu: Path) -> Run:
 def test_a_numerical_model_of_the_users_own_makes_the_same_run(built) -> None:
     own = with_model(built())
     ours, theirs = run(load_scenario(RIG, SHORT)), run(load_scenario(RIG, SHORT | own))
-    assert ours.trace is not None
-    assert theirs.trace is not None
     np.testing.assert_allclose(theirs.trace["pose_cmd"], ours.trace["pose_cmd"], atol=1e-9)
     assert theirs.summary["cor"] == pytest.approx(ours.summary["cor"], rel=1e-6)
     entry = next(e for e in theirs.summary["delay_ledger"] if e["source"] == "numerical_model.fmu")
@@ -279,8 +276,6 @@ def test_the_bounce_of_a_users_model_is_foretold_with_the_vehicles_that_are_give
     rubs = SHORT | {"mechanism.contact.friction": 0.1}  # played, and not computed
     own = with_model(built())
     ours, theirs = stability(load_scenario(RIG, rubs)), stability(load_scenario(RIG, rubs | own))
-    assert ours is not None
-    assert theirs is not None
     assert theirs["rebound"] == pytest.approx(ours["rebound"], rel=0.02)  # half a tick later
 
 
@@ -289,7 +284,6 @@ def test_a_model_that_ends_the_simulation_ends_the_run_with_its_time(built) -> N
     assert ended.summary["status"] == "stopped"
     reason = ended.summary["stop_reason"]
     assert "has ended the simulation at t = 0.299750 s (terminateSimulation)" in reason
-    assert ended.trace is not None
     assert ended.trace.t[-1] == pytest.approx(0.3, abs=1.5 * PERIOD)
     assert np.isfinite(ended.trace["pose_cmd"]).all()
 

@@ -42,8 +42,6 @@ def test_a_bounce_over_the_wire_is_the_bounce_of_the_simulation(sensor: str, pla
     assert {events["lost"] for events in live.summary["live"]["events"].values()} == {0}
     assert alone.summary["cor"] > 1.0
     assert abs(math.log(live.summary["cor"] / alone.summary["cor"])) < 1e-4
-    assert live.trace is not None
-    assert alone.trace is not None
     np.testing.assert_allclose(live.trace["pose_cmd"], alone.trace["pose_cmd"], atol=1e-7)
     np.testing.assert_allclose(live.trace["wrench_meas"], alone.trace["wrench_meas"], atol=1e-2)
     assert live.summary["energy_generated"] == pytest.approx(
@@ -59,8 +57,6 @@ def test_a_docking_over_the_wire_is_the_docking_of_the_simulation() -> None:
     scenario = scenario_of("11-rim-bounce", "rsi", duration=1.6)
     alone, live = run(scenario), played(scenario, "rsi").run
     assert live.summary["status"] == "completed"
-    assert live.trace is not None
-    assert alone.trace is not None
     np.testing.assert_allclose(live.trace["pose_cmd"], alone.trace["pose_cmd"], atol=2e-6)
     assert live.summary["outcome"] == alone.summary["outcome"]
     assert abs(math.log(live.summary["cor"] / alone.summary["cor"])) < 0.01
@@ -107,8 +103,6 @@ def test_mounted_elsewhere_it_is_the_same_run() -> None:
     }
     turned = scenario_of("02-bumper", "rsi", duration=0.8, **mounted)
     one, other = run(turned), played(turned, "rsi").run
-    assert one.trace is not None
-    assert other.trace is not None
     assert other.summary["cor"] == pytest.approx(one.summary["cor"], rel=1e-4)
     np.testing.assert_allclose(other.trace["pose_act"], one.trace["pose_act"], atol=1e-7)
 
@@ -127,7 +121,6 @@ def test_the_run_folder_is_one_like_any_other_and_its_rows_are_on_disk_as_they_c
     """What a process that dies would leave behind is what one that lives writes at its end."""
     rows = tmp_path / "run.rows.f64"
     live = played(scenario_of("02-bumper", "udp", duration=0.5), "udp", record=rows).run
-    assert live.trace is not None
     columns = json.loads(rows.with_suffix(".json").read_text())["columns"]
     recorded = np.fromfile(rows).reshape(-1, len(columns))
     assert len(recorded) == len(live.trace.t) == 500
@@ -138,7 +131,6 @@ def test_the_run_folder_is_one_like_any_other_and_its_rows_are_on_disk_as_they_c
     write_run(live, tmp_path / "run")
     assert (tmp_path / "run" / "recording.rrd").stat().st_size > 10_000
     again = read_run(tmp_path / "run")
-    assert again.trace is not None
     assert again.trace[CYCLE.name].shape == (500, 4)
     assert np.all(again.trace[CYCLE.name][1:, :2] > 0.0)
     assert again.summary["live"]["events"]["platform"]["lost"] == 0
@@ -163,7 +155,6 @@ def test_two_processes_in_real_time(tmp_path: Path) -> None:
     live = [*program, "live", *case, *ours, "--arm", "--out", str(tmp_path / "run"), "--for", "1.5"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen([*program, "emulate", *case, *theirs], **pipes) as device:
-        assert device.stderr is not None
         device.stderr.readline()
         loop = subprocess.run(live, capture_output=True, text=True, timeout=60, check=False)
         device.terminate()

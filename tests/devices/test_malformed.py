@@ -222,7 +222,6 @@ def test_shm_client() -> None:
         server.publish(START, 0.5)
         with platform_client(f"shm://{name}") as client:
             intruder = attach(f"{name}.state")
-            assert intruder is not None
             state = _state(client)
             for _ in range(COUNT):
                 intruder._words[1:] = rng.integers(0, 2**63, 5, dtype=np.uint64)

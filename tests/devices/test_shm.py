@@ -40,8 +40,6 @@ def test_a_reader_gets_whole_messages_from_another_process() -> None:
     writer = subprocess.Popen(
         [sys.executable, "-c", WRITER, name], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
-    assert writer.stdout is not None
-    assert writer.stdin is not None
     try:
         assert writer.stdout.readline() == b"ready\n"
         with sensor_client(f"shm://{name}?connect=10") as client:
@@ -80,7 +78,6 @@ def test_a_message_that_is_not_whole_is_not_taken() -> None:
     name = _name("half")
     box = make(name, "here")
     reader = attach(name)
-    assert reader is not None
     box.write(np.arange(6.0), 1, 0.1, 0)
     assert reader.read() is True
     box.write(np.arange(6.0) + 1, 2, 0.2, 0)

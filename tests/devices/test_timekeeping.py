@@ -39,12 +39,12 @@ class Wall(WallClock):
         self.slept += seconds
 
 
-def _faults(arrivals: np.ndarray, limit: float | None = LIMIT) -> tuple[float, str | None, float]:
+def _faults(arrivals: np.ndarray) -> tuple[float, str | None, float]:
     """A clock whose k-th record comes at ``arrivals[k]`` [s], two seconds before arming and after:
     its factor at arming, the fault after it, and the wall time of that.
     """
     wall = Wall()
-    keeper = Timekeeper(TICK, limit, wall)
+    keeper = Timekeeper(TICK, LIMIT, wall)
     factor, right = np.nan, None
     for k, at in enumerate(arrivals):
         wall.at = float(at)
@@ -119,8 +119,7 @@ def test_a_jump_of_the_records_numbers_is_seen_in_its_cycle() -> None:
         assert keeper.fault is None
         wall.at += TICK
         keeper.ticked(ticks, k + ticks)
-    assert keeper.fault is not None
-    assert "ahead of the wall clock; devices.limits.time_offset is 20 ms" in keeper.fault
+    assert "ahead of the wall clock; devices.limits.time_offset is 20 ms" in str(keeper.fault)
 
 
 def test_a_clock_that_is_silent_has_no_rate() -> None:
@@ -159,8 +158,7 @@ def test_a_clock_that_pauses_again_and_again_has_its_mean_rate() -> None:
     for k in range(10_000):
         wall.at += TICK + (0.003 if k % 100 == 99 else 0.0)
         keeper.ticked(1, k)
-    assert keeper.fault is not None
-    assert "it ran at 9" in keeper.fault
+    assert "it ran at 9" in str(keeper.fault)
 
 
 @pytest.mark.parametrize(

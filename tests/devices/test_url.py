@@ -22,9 +22,9 @@ from hiltestbed.errors import InputError
 from tests.devices.running import free_ports
 
 
-def _said(url: str, make=settings_of) -> list[str]:
+def _said(url: str) -> list[str]:
     with pytest.raises(InputError) as raised:
-        make(url)
+        settings_of(url)
     return [f"{fault.key}: {fault.message}" for fault in raised.value.faults]
 
 

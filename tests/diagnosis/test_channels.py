@@ -12,7 +12,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from ruamel.yaml import YAML
 
 import hiltestbed
 from hiltestbed.diagnosis.layout import lay_out
@@ -20,10 +19,9 @@ from hiltestbed.diagnosis.links import LinkRun, WrenchLink
 from hiltestbed.diagnosis.paths import best_path
 from hiltestbed.diagnosis.yielding import told_pose
 from hiltestbed.measured import load_dataset
-from hiltestbed.run_folder.store import write_trace
-from hiltestbed.simulation import simulate
 
 from ..slow import SLOW, slow
+from .recorded import dataset_of, only, with_noise
 
 # a quarter of a tick of its rate is worth 2 N of 5700 N
 DAMPED = ("06-two-eight-tonne-vehicles", {"duration": 1.2, "approach.gap": 0.02})
@@ -61,39 +59,12 @@ def partial(
     """
     name, changes = rig
     nominal, rng = hiltestbed.load_scenario(name, changes), np.random.default_rng(7)
-    runs: list[dict[str, Any]] = [
-        {},
-        {"set": {"approach.velocity": [1.5 * v for v in nominal.approach.velocity]}},
-    ]
-    for i, run in enumerate(runs):
-        done = hiltestbed.load_scenario(
-            name,
-            {
-                **changes,
-                **run.get("set", {}),
-                "seed": 100 + i,
-                "effects": [dict(e) for e in effects],
-            },
-        )
-        trace = simulate([done], trace=True).trace
-        assert trace is not None
-        run["file"] = f"run_{i}.parquet"
-        write_trace(trace.run(0), folder / run["file"])
-        table = pq.read_table(folder / run["file"])
-        table = table.select(
-            [c for c in table.column_names if c == "t" or c in kept or c.partition(".")[0] in kept]
-        )
-        for at, column in enumerate(table.column_names):
-            if noise and column in POSITIONS[:3]:
-                table = table.set_column(
-                    at,
-                    column,
-                    pa.array(table[column].to_numpy() + noise * rng.standard_normal(len(table))),
-                )
-        pq.write_table(table, folder / run["file"])
-    (folder / "nominal.yaml").write_text(hiltestbed.dump_scenario(nominal), "utf-8")
-    YAML(typ="safe").dump({"scenario": "nominal.yaml", "runs": runs}, folder / "dataset.yaml")
-    return folder / "dataset.yaml"
+
+    def change(log: pa.Table) -> pa.Table:
+        return with_noise(only(kept)(log), POSITIONS[:3] if noise else (), noise, rng)
+
+    faster = {"approach.velocity": [1.5 * v for v in nominal.approach.velocity]}
+    return dataset_of(folder, nominal, [{}, faster], effects, seed=100, change=change)
 
 
 @pytest.mark.parametrize(
@@ -237,6 +208,17 @@ def test_a_compensation_that_hangs_on_the_measured_rate_is_not_judged_by_a_diffe
     assert lay_out(load_dataset(partial(tmp_path, DAMPED, (*groups, *rates)))).missing == {}
 
 
+def test_a_path_has_the_rates_that_are_on_record(tmp_path: Path) -> None:
+    rig = ("05-off-centre", {"duration": 0.4, "approach.gap": 0.001, "compensation.force": KNOWN})
+    layout = lay_out(load_dataset(partial(tmp_path, rig, (*MEASURED, "pose_cmd", "twist_act"))))
+    path = best_path(layout, None)
+    assert path.rates_measured
+    assert path.rates is not None
+    for poses, rates in zip(path.poses, path.rates, strict=True):
+        slope = np.gradient(poses[:, :3], layout.scales.tick, axis=0)
+        np.testing.assert_allclose(rates[:, :3], slope, atol=0.02 * np.abs(slope).max())
+
+
 def test_a_compensation_that_does_nothing_may_copy_an_axis(tmp_path: Path) -> None:
     """It used to be refused as a copy, since a torque that is not on record is not a number."""
     rig = ("07-single-drive", {"duration": 0.4})
@@ -256,7 +238,6 @@ def test_a_latch_that_waits_for_slow_motion_may_close_a_row_later() -> None:
         },
     )
     latch, h = scenario.mechanism.latch, scenario.tick
-    assert latch is not None
     t = np.arange(400) * h
     speed = 1.5 * latch.speed * np.exp(-t / 0.1)
     path = np.zeros((len(t), 7))
@@ -265,7 +246,6 @@ def test_a_latch_that_waits_for_slow_motion_may_close_a_row_later() -> None:
     rates[:, 2] = speed
     run = LinkRun(scenario, np.zeros((len(t), 6)), np.ones((len(t), 6)), path[:, 2] > 0.0)
     nuisances = WrenchLink([run], [path], None, [rates]).with_unknown_rate().runs[0].nuisances
-    assert nuisances is not None
     closed = int(np.argmax(speed <= latch.speed))
     shown = closed + 2 + round(scenario.sensor.delay / h)
     assert nuisances[shown:, 2, 1] == pytest.approx(

@@ -12,18 +12,17 @@ import numpy as np
 import pytest
 
 from hiltestbed import load_scenario
-from hiltestbed.config.yaml_source import dump_yaml
 from hiltestbed.diagnosis.find import find
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.layout import lay_out
-from hiltestbed.diagnosis.links import flat_pose
 from hiltestbed.diagnosis.yielding import deflection
-from hiltestbed.measured import MeasuredDataset, load_dataset
-from hiltestbed.run_folder.store import write_trace
-from tests.running import run
+from hiltestbed.frames import Array
+from hiltestbed.measured import MeasuredDataset, MeasuredRun, load_dataset
 from tests.slow import SLOW
 
-SCENARIO = Path(__file__).parents[2] / "scenarios" / "reference-bumper.yaml"
+from .recorded import dataset_of
+
+SCENARIO = "reference-bumper"
 NOISE = 0.2  # [N]
 SPEEDS = (0.02, 0.04, 0.06)
 
@@ -46,33 +45,11 @@ def driven(
 
     platform: in place of the servo, believed.
     """
-    believed = load_scenario(
-        SCENARIO,
-        set={"rig.platform": platform, "compensation.motion": {"kind": "none"}} if platform else {},
-    )
-    (folder / "nominal.yaml").write_text(
-        dump_yaml(believed.model_dump(mode="json")), encoding="utf-8"
-    )
-    entries = []
-    for seed, speed in enumerate(speeds):
-        approach = {"approach.velocity": [0.0, 0.0, speed], "duration": 0.9}
-        given = approach | {
-            "sensor.noise": NOISE,
-            "sensor.torque_noise": 0.02,
-            "seed": seed,
-            "effects": list(effects),
-        }
-        trace = run(load_scenario(folder / "nominal.yaml", set=given)).trace
-        assert trace is not None
-        write_trace(trace, folder / f"run_{seed}.parquet")
-        entries.append(
-            f"  - {{file: run_{seed}.parquet, set: {{approach.velocity: [0, 0, {speed}], "
-            f"duration: 0.9}}}}"
-        )
-    (folder / "dataset.yaml").write_text(
-        "\n".join(["scenario: nominal.yaml", "runs:", *entries, ""]), encoding="utf-8"
-    )
-    return load_dataset(folder / "dataset.yaml")
+    changes = {"rig.platform": platform, "compensation.motion": {"kind": "none"}}
+    believed = load_scenario(SCENARIO, set=changes if platform else {})
+    sets = [{"approach.velocity": [0.0, 0.0, v], "duration": 0.9} for v in speeds]
+    noise = {"sensor.noise": NOISE, "sensor.torque_noise": 0.02}
+    return load_dataset(dataset_of(folder, believed, sets, effects, unknown=noise))
 
 
 @pytest.fixture(scope="module")
@@ -80,22 +57,26 @@ def healthy(tmp_path_factory: pytest.TempPathFactory) -> MeasuredDataset:
     return driven(tmp_path_factory.mktemp("healthy"))
 
 
+def yielded(measured: MeasuredRun) -> tuple[Array, Array, Array]:
+    """Along z, where they are known [m]: what the pose differs by from what was told, what of it is
+    replayed, and the doubt of that.
+    """
+    found = deflection(measured, NOISE)
+    assert found is not None
+    record, known = measured.record, np.isfinite(found.doubt[:, 2])
+    told = np.concatenate([record.filled("pose_act")[:1], record.filled("pose_cmd")[:-1]])
+    left = record.filled("pose_act") - told
+    return left[known, 2], found.away[known, 2], found.doubt[known, 2]
+
+
 def test_where_the_drives_yield_to_is_known_to_their_doubt(healthy: MeasuredDataset) -> None:
     """Told the recorded command under the recorded force, 5 ms late and with its noise: 0.2 N on
     4e7 N/m is what is not told.
     """
-    measured = healthy.runs[-1]
-    found = deflection(measured, NOISE)
-    assert found is not None
-    told = np.concatenate(
-        [measured.record.filled("pose_act")[:1], measured.record.filled("pose_cmd")[:-1]]
-    )
-    left = measured.record.filled("pose_act") - told
-    known = np.isfinite(found.doubt[:, 2])
-    assert np.abs(left[known, 2]).max() > 4e-6
-    assert np.abs(left[known, 2] - found.away[known, 2]).max() < 0.01 * np.abs(left[known, 2]).max()
-    off = np.abs(flat_pose(left)[known] - found.away[known])[:, 2]
-    assert (off <= found.doubt[known, 2]).mean() > 0.99
+    left, away, doubt = yielded(healthy.runs[-1])
+    assert np.abs(left).max() > 4e-6
+    assert np.abs(left - away).max() < 0.01 * np.abs(left).max()
+    assert (np.abs(left - away) <= doubt).mean() > 0.99
 
 
 @SLOW
@@ -114,7 +95,6 @@ def test_of_a_driven_platform_only_what_is_hidden_is_named(tmp_path: Path) -> No
     assert finding.verdict == "named"
     assert [c.effect for c in finding.causes] == [hidden["kind"]]
     ends = finding.causes[0].parameters["width"].ci95
-    assert ends is not None
     assert ends[0] <= hidden["width"] <= ends[1]
 
 
@@ -125,18 +105,9 @@ def test_where_the_drives_yield_to_is_known_to_their_doubt_when_the_sensor_is_la
     of a rise by k v.
     """
     late = driven(tmp_path, ({"kind": "sensor.delay", "delay": 0.003},), SPEEDS[-1:])
-    for measured in late.runs:
-        found = deflection(measured, NOISE)
-        assert found is not None
-        told = np.concatenate(
-            [measured.record.filled("pose_act")[:1], measured.record.filled("pose_cmd")[:-1]]
-        )
-        known = np.isfinite(found.doubt[:, 2])
-        off = np.abs(
-            flat_pose(measured.record.filled("pose_act") - told)[known, 2] - found.away[known, 2]
-        )
-        assert (off > 2e-8).any()
-        assert (off <= found.doubt[known, 2] + 1e-9).all()
+    left, away, doubt = yielded(late.runs[0])
+    assert (np.abs(left - away) > 2e-8).any()
+    assert (np.abs(left - away) <= doubt + 1e-9).all()
 
 
 def test_what_a_platform_makes_of_its_command_is_known_whatever_the_force_reads(
@@ -145,12 +116,9 @@ def test_what_a_platform_makes_of_its_command_is_known_whatever_the_force_reads(
     """By a response of its own it lags by mm, which no force has a part in: no explanation of the
     platform is good for that alone.
     """
-    lagging = driven(tmp_path, (), SPEEDS[-1:], RESPONDING)
-    found = deflection(lagging.runs[0], NOISE)
-    assert found is not None
-    known = np.isfinite(found.doubt[:, 2])
-    assert np.abs(found.away[known, 2]).max() > 1e-4
-    assert found.doubt[known, 2].max() < 1e-7
+    _, away, doubt = yielded(driven(tmp_path, (), SPEEDS[-1:], RESPONDING).runs[0])
+    assert np.abs(away).max() > 1e-4
+    assert doubt.max() < 1e-7
 
 
 @SLOW
@@ -159,7 +127,6 @@ def test_beside_a_platform_that_lags_as_believed_a_late_sensor_is_found(tmp_path
     finding = find(investigate(driven(tmp_path, (hidden,), SPEEDS[1:], RESPONDING)))
     assert [c.effect for c in finding.causes] == [hidden["kind"]]
     ends = finding.causes[0].parameters["delay"].ci95
-    assert ends is not None
     assert ends[0] <= hidden["delay"] <= ends[1]
 
 

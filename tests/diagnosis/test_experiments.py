@@ -19,10 +19,9 @@ from hiltestbed.diagnosis.next_run import next_experiment
 from hiltestbed.diagnosis.result import Cause, Experiment, Finding, Parameter
 from hiltestbed.measured import MeasuredDataset, load_dataset
 from hiltestbed.scenario import scenario_from
-from hiltestbed.simulation import simulate
 from tests.slow import SLOW, slow
 
-from .recorded import NOMINAL, recorded, written
+from .recorded import NOMINAL, logged, recorded, without
 
 UNSEEN = ("pose_act", "twist_act", "wrench_meas", "wrench_true")
 LESS_DAMPING = {"kind": "contact.damping", "factor": 0.95}  # -20 N s/m, as a delay of 0.2 ms has
@@ -45,8 +44,8 @@ class Advised(NamedTuple):
     after: Finding
 
 
-def followed(folder: Path, hidden: dict[str, Any], without: tuple[str, ...] = ()) -> Advised:
-    file = recorded(folder, [hidden], without=without)
+def followed(folder: Path, hidden: dict[str, Any], missing: tuple[str, ...] = ()) -> Advised:
+    file = recorded(folder, [hidden], missing=missing)
     dataset = load_dataset(file)
     found = find(investigate(dataset))
     assert found.verdict == "ambiguous"
@@ -58,15 +57,13 @@ def followed(folder: Path, hidden: dict[str, Any], without: tuple[str, ...] = ()
     data["runs"].append({"file": "new.parquet", "set": dict(run)})
     yaml.dump(data, file)
     acting = scenario_from({**NOMINAL, "effects": [hidden], "seed": 9}, run)
-    trace = simulate([acting], trace=True).trace
-    assert trace is not None
-    written(trace.run(0), folder / "new.parquet", without)
+    logged(acting, folder / "new.parquet", without(*missing))
     findings = investigate(load_dataset(file))
     return Advised(found, experiment, findings.explanations, find(findings))
 
 
 @pytest.mark.parametrize(
-    ("hidden", "without", "key"),
+    ("hidden", "missing", "key"),
     [
         slow(LESS_DAMPING, (), "mechanism.contact.stiffness"),
         (LIGHTER, UNSEEN, "mass"),
@@ -74,13 +71,13 @@ def followed(folder: Path, hidden: dict[str, Any], without: tuple[str, ...] = ()
     ],
 )
 def test_the_run_that_is_proposed_decides(
-    tmp_path: Path, hidden: dict[str, Any], without: tuple[str, ...], key: str
+    tmp_path: Path, hidden: dict[str, Any], missing: tuple[str, ...], key: str
 ) -> None:
     """A delay tau is worth -k tau of damping on every mass: another spring decides. The relative
     motion shows the reduced mass: another mass decides.
     """
-    result = followed(tmp_path, hidden, without)
-    if without:  # 1/mu = 1/m_chaser + 1/m_target: the factor on the chaser that gives the same
+    result = followed(tmp_path, hidden, missing)
+    if missing:  # 1/mu = 1/m_chaser + 1/m_target: the factor on the chaser that gives the same
         (open_,), f = result.found.causes, hidden["factor"]
         chaser, target = (NOMINAL["spacecraft"][body]["mass"] for body in ("chaser", "target"))
         alike = 1.0 / (chaser * (1.0 / chaser + (1.0 / f - 1.0) / target))
@@ -120,15 +117,13 @@ def test_what_is_not_open_needs_no_run(healthy: MeasuredDataset) -> None:
 
 def test_runs_that_contradict_each_other_are_repeated(healthy: MeasuredDataset) -> None:
     experiment = next_experiment(Finding("unknown", "contact", contrary="y"), healthy)
-    assert experiment is not None
     assert experiment.runs[0] == experiment.runs[1] == healthy.spec.runs[0].set
 
 
 def test_a_link_that_was_not_judged_needs_its_channels(tmp_path: Path) -> None:
-    dataset = load_dataset(recorded(tmp_path, [], without=("wrench_comp",)))
+    dataset = load_dataset(recorded(tmp_path, [], missing=("wrench_comp",)))
     experiment = next_experiment(
         Finding("inconclusive", None, not_judged={"compensation": "needs wrench_comp"}), dataset
     )
-    assert experiment is not None
     assert "wrench_comp" in experiment.text
     assert "pose_act" not in experiment.text

@@ -23,8 +23,8 @@ from hiltestbed.diagnosis.recorded import DatasetLayout
 from hiltestbed.diagnosis.settings import SMOOTHING_ROWS
 from hiltestbed.inference.model import Hypothesis
 from hiltestbed.measured import load_dataset
-from hiltestbed.run_folder.store import write_trace
-from hiltestbed.simulation import simulate
+
+from .recorded import dataset_of, only, with_noise
 
 # [N/m], [N s/m], [kg], [m], [m/s]
 STIFFNESS, DAMPING, MASS, GAP, SPEED = 1e5, 400.0, 100.0, 0.0023, 0.06
@@ -160,24 +160,15 @@ def test_a_slide_of_which_only_a_noisy_pose_is_known_leaves_only_noise(tmp_path:
     """The pose's noise shows in the friction and, by its lever, in the torques as well, where the
     scenario's own trace is the truth.
     """
-    scenario = hiltestbed.load_scenario("05-off-centre", {"duration": 0.7})
-    trace = simulate([scenario], trace=True).trace
-    assert trace is not None
-    write_trace(trace.run(0), tmp_path / "run.parquet")
-    table, rng = pq.read_table(tmp_path / "run.parquet"), np.random.default_rng(5)
-    columns = {
-        c: table[c].to_numpy()
-        for c in table.column_names
-        if c.partition(".")[0] in ("t", "pose_act", "wrench_meas")
-    }
-    for name in ("pose_act.px", "pose_act.py", "pose_act.pz"):
-        columns[name] = columns[name] + 2e-6 * rng.standard_normal(len(table))
-    pq.write_table(pa.table(columns), tmp_path / "run.parquet")
-    (tmp_path / "nominal.yaml").write_text(hiltestbed.dump_scenario(scenario), "utf-8")
-    (tmp_path / "dataset.yaml").write_text(
-        "scenario: nominal.yaml\nruns: [{file: run.parquet}]\n", "utf-8"
+    scenario, rng = hiltestbed.load_scenario("05-off-centre"), np.random.default_rng(5)
+    kept = only(("pose_act", "wrench_meas"))
+
+    def change(log: pa.Table) -> pa.Table:
+        return with_noise(kept(log), [f"pose_act.p{axis}" for axis in "xyz"], 2e-6, rng)
+
+    layout = lay_out(
+        load_dataset(dataset_of(tmp_path, scenario, [{"duration": 0.7}], change=change))
     )
-    layout = lay_out(load_dataset(tmp_path / "dataset.yaml"))
     link = choose_lever(make_wrench_link(layout, best_path(layout, None), layout.rows))
     model = LinkModel(link)
     assert model.leaves_noise(model.residuals(Hypothesis((), np.zeros(0), np.zeros(0))))

@@ -4,45 +4,34 @@ diagnosis explains.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hiltestbed import diagnose, write_run
-from hiltestbed.config.gallery import find_scenario
+from hiltestbed import diagnose
 from hiltestbed.diagnosis.links import flat_pose
 from hiltestbed.diagnosis.result import Finding
 from hiltestbed.diagnosis.yielding import deflection, engagement, told_pose
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.measured import load_dataset
 from hiltestbed.scenario import load_scenario
-from tests.running import run
 from tests.slow import SLOW
+
+from .recorded import dataset_of
 
 pytestmark = SLOW
 
 
 def recorded(folder: Path, name: str, duration: float, effects: list[dict[str, Any]]) -> Path:
     """A dataset of two runs, the second one at four fifths of the speed."""
-    file, entries = find_scenario(Path(name)), []
-    for seed, part in enumerate((1.0, 0.8)):
-        velocity = [part * v for v in load_scenario(file).approach.velocity]
-        scenario = load_scenario(
-            file,
-            set={
-                "duration": duration,
-                "approach.velocity": velocity,
-                "seed": seed,
-                "effects": effects,
-            },
-        )
-        write_run(run(scenario), folder / f"run{seed}", rerun=False, report=False)
-        entries.append({"file": f"run{seed}/trace.parquet", "set": {"approach.velocity": velocity}})
-    (folder / "data.yaml").write_text(json.dumps({"scenario": str(file), "runs": entries}))
-    return folder / "data.yaml"
+    nominal = load_scenario(name)
+    sets = [
+        {"duration": duration, "approach.velocity": [part * v for v in nominal.approach.velocity]}
+        for part in (1.0, 0.8)
+    ]
+    return dataset_of(folder, nominal, sets, effects)
 
 
 def found(folder: Path, name: str, duration: float, effects: list[dict[str, Any]]) -> Finding:
@@ -81,7 +70,6 @@ def test_drives_yield_to_a_captured_ring_also_where_its_force_passes_through_zer
     force, late = 0.3, round(measured.scenario.sensor.delay * measured.scenario.rate)
     apart = ~measured.survey.touching(measured.record.ticks, late, GATE_SIGMA * force)
     deflected = deflection(measured, force, engaged=engagement(measured))
-    assert deflected is not None
     moved = flat_pose(measured.record.filled("pose_act")) - flat_pose(told_pose(measured))
     gap = slice(9000, 9120)
     assert apart[gap].all()

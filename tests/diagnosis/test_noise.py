@@ -25,28 +25,38 @@ from tests.measured.bounce import columns, write_dataset
 
 ROWS, TOUCH, END, RUNS = 600, 300, 500, 6
 SIGMA = np.array([0.2, 0.2, 0.3, 0.02, 0.02, 0.01])  # [N, N m]
+ALONG = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+def read(reading: Array, contact: np.ndarray, moved: Array | None = None) -> MeasuredRun:
+    """A run of these readings (ROWS, 6), with one stretch of rows in ``contact``; where A ``moved``
+    [m] along z, it is held by a latch throughout.
+    """
+    poses = {f"pose_act.{part}": np.zeros(ROWS) for part in ("px", "py", "pz", "qx", "qy", "qz")}
+    rows = np.flatnonzero(contact)
+    record: Any = SimpleNamespace(
+        data={"wrench_meas": reading}, ticks=ROWS, has=lambda name: True, steps={},
+        column=(poses if moved is None else poses | {"pose_act.pz": moved}).__getitem__,
+    )  # fmt: skip
+    survey: Any = SimpleNamespace(
+        contacts=[SimpleNamespace(start=rows[0], end=rows[-1] + 1)],
+        touching=lambda rows, late: contact,
+        excited=() if moved is None else ("pose_act.pz",),
+    )
+    scenario: Any = SimpleNamespace(
+        sensor=SimpleNamespace(delay=0.0, quantisation=0.0),
+        rate=1000.0,
+        mechanism=SimpleNamespace(captured=moved is not None, mount=None),
+    )
+    return MeasuredRun(record, scenario, survey)  # type: ignore[arg-type]
 
 
 def run(noise: Array, touch: int = TOUCH) -> MeasuredRun:
     """Free flight, half a sine of 150 N along z, free flight."""
     t = np.arange(ROWS)
-    force = np.where(
-        (t > touch) & (t < END), 150.0 * np.sin(np.pi * (t - touch) / (END - touch)), 0.0
-    )
-    reading = noise + force[:, None] * np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    record: Any = SimpleNamespace(
-        data={"wrench_meas": reading}, ticks=ROWS, has=lambda name: True, steps={}
-    )
-    contact = (np.arange(ROWS) >= touch) & (np.arange(ROWS) < END)
-    survey: Any = SimpleNamespace(
-        contacts=[SimpleNamespace(start=touch, end=END)], touching=lambda rows, late: contact
-    )
-    scenario: Any = SimpleNamespace(
-        sensor=SimpleNamespace(delay=0.0, quantisation=0.0),
-        rate=1000.0,
-        mechanism=SimpleNamespace(captured=False, mount=None),
-    )
-    return MeasuredRun(record, scenario, survey)  # type: ignore[arg-type]
+    inside = (t >= touch) & (t < END)
+    force = 150.0 * np.sin(np.pi * (t - touch) / (END - touch)) * inside
+    return read(noise + np.outer(force, ALONG), inside)
 
 
 def latched(noise: Array, crosstalk: float = 0.0) -> MeasuredRun:
@@ -55,29 +65,21 @@ def latched(noise: Array, crosstalk: float = 0.0) -> MeasuredRun:
     """
     t = np.arange(ROWS)
     ringing = 150.0 * np.exp(-t / 300.0) * np.sin(0.1 * t)
-    reading = noise + ringing[:, None] * np.array([crosstalk, 0.0, 1.0, 0.0, 0.0, 0.0])
-    pose = {
-        f"pose_act.{part}": 1e-5 * ringing if part == "pz" else np.zeros(ROWS)
-        for part in ("px", "py", "pz", "qx", "qy", "qz")
-    }
-    record: Any = SimpleNamespace(
-        data={"wrench_meas": reading},
-        ticks=ROWS,
-        has=lambda name: True,
-        steps={},
-        column=lambda name: pose[name],
-    )
-    every = np.ones(ROWS, dtype=bool)
-    contacts = [SimpleNamespace(start=0, end=ROWS)]
-    survey: Any = SimpleNamespace(
-        contacts=contacts, touching=lambda rows, late: every, excited=("pose_act.pz",)
-    )
-    scenario: Any = SimpleNamespace(
-        sensor=SimpleNamespace(delay=0.0, quantisation=0.0),
-        rate=1000.0,
-        mechanism=SimpleNamespace(captured=True),
-    )
-    return MeasuredRun(record, scenario, survey)  # type: ignore[arg-type]
+    shown = ringing[:, None] * np.array([crosstalk, 0.0, 1.0, 0.0, 0.0, 0.0])
+    return read(noise + shown, np.ones(ROWS, dtype=bool), 1e-5 * ringing)
+
+
+def coloured(seed: int, correlation: float) -> list[Array]:
+    """First-order noise, of the variance of the white one."""
+    part = np.sqrt(1 - correlation**2)
+    return [np.asarray(lfilter([part], [1, -correlation], n, axis=0)) for n in white(seed)]
+
+
+def swaying(rng: np.random.Generator, size: float) -> list[Array]:
+    """Baselines (ROWS, 6) of each run, of a period longer than the run [sigma]."""
+    t = np.linspace(0.0, 1.0, ROWS)[:, None]
+    turns = [(rng.uniform(0.25, 0.75, 6), rng.uniform(-np.pi, np.pi, 6)) for _ in range(RUNS)]
+    return [size * SIGMA * np.sin(2 * np.pi * w * t + phase) for w, phase in turns]
 
 
 def white(seed: int) -> list[Array]:
@@ -87,6 +89,12 @@ def white(seed: int) -> list[Array]:
 
 def found(noise: list[Array]) -> ForceNoise:
     return force_noise([run(n) for n in noise])
+
+
+def left_by(noise: ForceNoise, values: Array) -> Array:
+    """What the nuisances of the noise leave of ``values`` (ROWS, 6)."""
+    nuisances = noise.nuisances(ROWS, ROWS, noise.level)
+    return values - Aside(np.full((ROWS, 6), 1.0 / SIGMA), nuisances).of(values)
 
 
 def test_white_noise_needs_no_words() -> None:
@@ -100,11 +108,7 @@ def test_colour_is_that_of_a_first_order_process(correlation: float) -> None:
     """Its spectral density at low frequency is (1 + r)/(1 - r) times that of white noise of the
     same variance.
     """
-    coloured = [
-        np.asarray(lfilter([np.sqrt(1 - correlation**2)], [1, -correlation], n, axis=0))
-        for n in white(1)
-    ]
-    noise = found(coloured)
+    noise = found(coloured(1, correlation))
     assert noise.colour == pytest.approx(np.sqrt((1 + correlation) / (1 - correlation)), rel=0.12)
     np.testing.assert_allclose(noise.level, SIGMA, rtol=0.1)
 
@@ -115,11 +119,7 @@ def test_a_mechanism_that_never_flies_shows_its_noise_on_the_axes_at_rest(crosst
     differences alone, which a colour of r makes smaller by sqrt((20 - 30 r + 12 r^2 - 2 r^3) / 20).
     """
     correlation = 0.6
-    coloured = [
-        np.asarray(lfilter([np.sqrt(1 - correlation**2)], [1, -correlation], n, axis=0))
-        for n in white(1)
-    ]
-    noise = force_noise([latched(n, crosstalk) for n in coloured])
+    noise = force_noise([latched(n, crosstalk) for n in coloured(1, correlation)])
     assert noise.colour == pytest.approx(np.sqrt((1 + correlation) / (1 - correlation)), rel=0.12)
     np.testing.assert_allclose(noise.level, SIGMA, rtol=0.15)
     assert force_noise([latched(n, crosstalk) for n in white(2)]).words() == ()
@@ -128,12 +128,8 @@ def test_a_mechanism_that_never_flies_shows_its_noise_on_the_axes_at_rest(crosst
 def test_the_baseline_of_an_axis_at_rest_wanders_though_that_of_the_axis_that_moves_looks_alike() -> (
     None
 ):
-    rng, t = np.random.default_rng(13), np.linspace(0.0, 1.0, ROWS)[:, None]
-    runs = []
-    for n in white(13):
-        sway = np.sin(2 * np.pi * rng.uniform(0.25, 0.75, 6) * t + rng.uniform(-np.pi, np.pi, 6))
-        runs.append(latched(n + 2.0 * SIGMA * sway))
-    noise = force_noise(runs)
+    sways = swaying(np.random.default_rng(13), 2.0)
+    noise = force_noise([latched(n + s) for n, s in zip(white(13), sways, strict=True)])
     assert (len(noise.wander) - 1, noise.tones) == (5, ())
 
 
@@ -143,14 +139,9 @@ def test_a_drift_that_the_springs_of_a_latch_balance_shows_in_what_their_path_le
     """The loop moves the numerical model until the sensor reads nothing: the springs then carry the
     drift with the other sign.
     """
-    rng, t = np.random.default_rng(14), np.linspace(0.0, 1.0, ROWS)[:, None]
-    sway = [
-        4.0 * np.sin(2 * np.pi * rng.uniform(0.25, 0.75, 6) * t + rng.uniform(-np.pi, np.pi, 6))
-        for _ in range(RUNS)
-    ]
     runs = [latched(n) for n in white(14)]
     assert force_noise(runs).words() == ()
-    noise = force_noise(runs, None, [-SIGMA * s for s in sway])
+    noise = force_noise(runs, None, [-s for s in swaying(np.random.default_rng(14), 4.0)])
     # the rest of it is white
     assert (len(noise.wander) - 1, noise.colour, noise.tones, noise.level.any()) == (
         5,
@@ -161,18 +152,9 @@ def test_a_drift_that_the_springs_of_a_latch_balance_shows_in_what_their_path_le
 
 
 def test_a_run_without_forces_leaves_the_noise_to_the_others() -> None:
-    runs = [latched(np.asarray(lfilter([0.8], [1, -0.6], n, axis=0))) for n in white(1)]
-    record: Any = SimpleNamespace(
-        data={},
-        ticks=ROWS,
-        has=lambda name: name[0] == "p",
-        steps={},
-        column=lambda name: np.zeros(ROWS),
-    )
-    alone, beside = (
-        force_noise(runs),
-        force_noise([*runs, MeasuredRun(record, runs[0].scenario, runs[0].survey)]),
-    )  # type: ignore[arg-type]
+    runs, blind = [latched(n) for n in coloured(1, 0.6)], latched(white(1)[0])
+    blind.record.data, blind.record.has = {}, lambda name: name[0] == "p"  # type: ignore[misc]
+    alone, beside = force_noise(runs), force_noise([*runs, blind])
     assert alone.level.all()
     np.testing.assert_array_equal(beside.level, alone.level)
 
@@ -250,30 +232,17 @@ def test_mains_of_another_phase_in_each_run_are_tones_and_their_frequency_is_tol
     assert len(noise.tones) == 1
     assert noise.tones[0] * ROWS / (2 * np.pi) == pytest.approx(50.0 * ROWS * 1e-3, abs=0.1)
     np.testing.assert_allclose(noise.level, SIGMA, rtol=0.1)
-    left = Aside(np.full((ROWS, 6), 1.0 / SIGMA), noise.nuisances(ROWS, ROWS, noise.level)).of(
-        hum[0]
-    )
-    assert np.std(hum[0] - left) < 0.1 * np.std(hum[0])
+    assert np.std(left_by(noise, hum[0])) < 0.1 * np.std(hum[0])
 
 
 def test_a_baseline_that_bends_otherwise_in_each_run_wanders_and_a_quintic_takes_nearly_all_of_it() -> (
     None
 ):
-    rng = np.random.default_rng(10)
-    t = np.linspace(0.0, 1.0, ROWS)[:, None]
-    sway = [
-        4.0
-        * SIGMA
-        * np.sin(2 * np.pi * rng.uniform(0.25, 0.75, 6) * t + rng.uniform(-np.pi, np.pi, 6))
-        for _ in range(RUNS)
-    ]
-    noise = found([n + s for n, s in zip(white(10), sway, strict=True)])
+    sways = swaying(np.random.default_rng(10), 4.0)
+    noise = found([n + s for n, s in zip(white(10), sways, strict=True)])
     assert noise.wander.shape == (6, 6)
-    one = sway[0] - sway[0].mean(axis=0)
-    assert np.std(
-        one
-        - Aside(np.full((ROWS, 6), 1.0 / SIGMA), noise.nuisances(ROWS, ROWS, noise.level)).of(one)
-    ) < 0.05 * np.std(one)
+    one = sways[0] - sways[0].mean(axis=0)
+    assert np.std(left_by(noise, one)) < 0.05 * np.std(one)
 
 
 def test_a_baseline_that_rows_close_together_hardly_tell_has_a_finite_spread() -> None:
@@ -320,7 +289,6 @@ def test_of_baselines_that_wander_what_they_share_shows_beyond_their_spread(runs
             0.01 * rng.standard_normal((400, 6)) + a + b * bend for a, b in zip(*sway, strict=True)
         ]
         wander = wander_between([(at, x) for x in readings], np.full(6, 0.01))
-        assert wander is not None
         found.append(
             runs * np.mean([x.mean(axis=0) for x in readings], axis=0) ** 2 / wander[0] ** 2
         )
@@ -334,21 +302,17 @@ def test_of_baselines_that_wander_what_they_share_shows_beyond_their_spread(runs
 def test_a_share_of_the_reading_is_found_with_its_size_and_a_delay_that_varies_is_none() -> None:
     rng, share = np.random.default_rng(4), 0.01
     t = np.arange(ROWS)
-    inside = (t > TOUCH) & (t < END)
-    force = np.where(inside, 150.0 * np.sin(np.pi * (t - TOUCH) / (END - TOUCH)), 0.0)
-    rate = np.where(
-        inside, 150.0 * np.pi / (END - TOUCH) * np.cos(np.pi * (t - TOUCH) / (END - TOUCH)), 0.0
-    )
-    along = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    assert found(
-        [n + (share * force * rng.standard_normal(ROWS))[:, None] * along for n in white(4)]
-    ).share == pytest.approx(share, rel=0.15)
-    assert (
-        found(
-            [n + (0.7 * rate * rng.standard_normal(ROWS))[:, None] * along for n in white(5)]
+    inside, phase = (t > TOUCH) & (t < END), np.pi * (t - TOUCH) / (END - TOUCH)
+    force = 150.0 * np.sin(phase) * inside
+    rate = 150.0 * np.pi / (END - TOUCH) * np.cos(phase) * inside
+
+    def of(size: Array, seed: int) -> float:
+        return found(
+            [n + np.outer(size * rng.standard_normal(ROWS), ALONG) for n in white(seed)]
         ).share
-        < 0.1 * share
-    )
+
+    assert of(share * force, 4) == pytest.approx(share, rel=0.15)
+    assert of(0.7 * rate, 5) < 0.1 * share
 
 
 def test_outliers_after_the_contact_count_where_few_rows_lie_before_it_and_ringing_is_none() -> (
@@ -431,15 +395,11 @@ def test_a_touch_before_the_believed_one_is_no_free_flight(hum: float) -> None:
     wave = hum * np.sin(0.314 * rows)
     # [N] up to 24 N
     early = np.where((rows > TOUCH - 30) & (rows <= TOUCH), 0.8 * (rows - TOUCH + 30), 0.0)
-    added = np.column_stack([np.zeros((ROWS, 2)), early + wave, np.zeros((ROWS, 3))])
-    flat = [n + np.column_stack([np.zeros((ROWS, 2)), wave, np.zeros((ROWS, 3))]) for n in white(8)]
+    met = [n + np.outer(early + wave, ALONG) for n in white(8)]
+    flat = [n + np.outer(wave, ALONG) for n in white(8)]
     # 3 rows are within the hum
-    assert found([n + added for n in white(8)]).levels() == pytest.approx(
-        found(flat).levels(), rel=0.2
-    )
-    assert [first_touch(run(n + added)) for n in white(8)] == pytest.approx(
-        [TOUCH - 30] * RUNS, abs=8
-    )
+    assert found(met).levels() == pytest.approx(found(flat).levels(), rel=0.2)
+    assert [first_touch(run(n)) for n in met] == pytest.approx([TOUCH - 30] * RUNS, abs=8)
 
 
 def test_free_flight_begins_when_a_mount_has_swung_out(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,14 +16,13 @@ import numpy as np
 import pytest
 
 from hiltestbed.config.gallery import shipped
-from hiltestbed.config.yaml_source import dump_yaml
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.verdict import Verdict, decide
 from hiltestbed.measured import load_dataset
-from hiltestbed.run_folder.store import write_trace
-from hiltestbed.scenario import Scenario, dump_scenario, load_scenario, resolved, scenario_from
-from hiltestbed.simulation import simulate
+from hiltestbed.scenario import Scenario, load_scenario, resolved, scenario_from
 from tests.slow import ALL, slow
+
+from .recorded import dataset_of
 
 SCENARIOS = sorted(f.stem for f in shipped("scenarios").glob("*.yaml"))
 # without contact or one that can be judged
@@ -85,18 +84,9 @@ def campaign(scenario: Scenario) -> list[dict[str, Any]]:
 
 
 def verdict_of(nominal: Scenario, folder: Path, *effects: Mapping[str, Any]) -> Verdict:
-    entries = []
-    for i, changes in enumerate(campaign(nominal)):
-        data = resolved(nominal) | {"effects": list(effects), "seed": nominal.seed + 100 * i}
-        trace = simulate([scenario_from(data, set=changes)], trace=True).trace
-        assert trace is not None
-        write_trace(trace.run(0), folder / f"run_{i}.parquet")
-        entries.append({"file": f"run_{i}.parquet", "set": changes})
-    (folder / "nominal.yaml").write_text(dump_scenario(nominal), encoding="utf-8")
-    dataset = dump_yaml({"scenario": "nominal.yaml", "runs": entries})
-    (folder / "dataset.yaml").write_text(dataset, encoding="utf-8")
+    file = dataset_of(folder, nominal, campaign(nominal), effects, seed=nominal.seed)
     with np.errstate(all="ignore"):
-        return decide(investigate(load_dataset(folder / "dataset.yaml")))
+        return decide(investigate(load_dataset(file)))
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS if ALL else [slow("05-off-centre")])

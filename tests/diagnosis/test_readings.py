@@ -99,7 +99,6 @@ def test_a_touch_that_a_facilitys_steps_put_elsewhere_is_no_departure() -> None:
     link = mounted(4, damping=6000.0).interpreted(exact=True)
     unknown = link.with_unknown_steps()
     terms = unknown.runs[0].nuisances
-    assert terms is not None
     assert terms.shape[2] == 2  # of the correction, and of the one touch
     late = Residual(reread(link, [link.shown(0) + 1.5 * terms[:, :, 1]]))
     assert square(late(())) > 100.0

@@ -5,17 +5,21 @@ its pose is stamped.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.links import PlatformLink, Timing
+from hiltestbed.diagnosis.links import LinkRun, PlatformLink, Timing
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.stiction import Sticking, sticking
+from hiltestbed.frames import Array
 from tests.slow import SLOW, slow
 
 from .made import POSE_NOISE, H, bounce, effect, link_run, noisy, platform_link, scenario
+
+Change = Callable[[LinkRun, Array], LinkRun]  # of a run, and what its link shows of it
 
 
 def sticks(instants: int, stick: float, phase: float = 0.0) -> list:
@@ -84,7 +88,6 @@ def test_a_stick_is_found_whenever_the_platform_obeys_and_the_pose_is_stamped(
     hidden = sticks(instants, stick, phase)
     link = approaching([*hidden, timing], (0.01, 0.016, 0.025))
     found = sticking(link, POSE_NOISE, 4)
-    assert found.timing is not None
     assert (found.timing.obeyed + found.timing.delay) / H == pytest.approx(
         late, abs=0.05 + 0.5 / instants
     )
@@ -95,58 +98,58 @@ def test_a_stick_is_found_whenever_the_platform_obeys_and_the_pose_is_stamped(
     assert stick_found == pytest.approx(stick, rel=1e-3)
 
 
-def test_noise_is_not_taken_from_an_axis_that_jumps() -> None:
+def loud(run: LinkRun, _: Array) -> LinkRun:
     """Third differences take the jumps for noise of ten times the size; while the axis is held,
     differences show what it is.
     """
-    link = platform_link(sticks(20, 8.37e-5))
-    runs = [replace(run, sigma=10.0 * run.sigma) for run in link.runs]
-    loud = PlatformLink(runs, link.commands, link.deflection)
-    assert sticking(loud, 10.0 * POSE_NOISE, 4).starts[20, 0.0][0] == pytest.approx(
-        8.37e-5, rel=1e-4
-    )
+    return replace(run, sigma=10.0 * run.sigma)
 
 
-def test_rows_that_are_not_known_do_not_count() -> None:
-    made = platform_link(sticks(20, 8.37e-5))
-    measured, sigma = made.runs[0].measured.copy(), made.runs[0].sigma.copy()
+def with_rows_lost(run: LinkRun, _: Array) -> LinkRun:
+    measured, sigma = run.measured.copy(), run.sigma.copy()
     sigma[40:60], measured[40:60] = np.inf, 0.0
-    link = PlatformLink(
-        [replace(made.runs[0], sigma=sigma, measured=measured), *made.runs[1:]],
-        made.commands,
-        made.deflection,
-    )
-    assert sticking(link, POSE_NOISE, 4).starts[20, 0.0][0] == pytest.approx(8.37e-5, rel=1e-4)
+    return replace(run, sigma=sigma, measured=measured)
 
 
-@pytest.mark.parametrize("level", [np.inf, POSE_NOISE])
-def test_an_axis_that_was_not_measured_or_is_at_rest_does_not_count(level: float) -> None:
-    """What round-off makes of an axis at rest is no noise of the one that moves."""
-    made, rng, runs = platform_link(sticks(20, 8.37e-5)), np.random.default_rng(6), []
-    for run in made.runs:
+def with_an_axis_at(level: float) -> Change:
+    """That was not measured, or is at rest: what round-off makes of it is no noise of the one that
+    moves.
+    """
+
+    def change(run: LinkRun, _: Array) -> LinkRun:
         measured, sigma = run.measured.copy(), run.sigma.copy()
-        measured[:, 0], sigma[:, 0] = 1e-17 * rng.standard_normal(run.rows), level
-        runs.append(replace(run, measured=measured, sigma=sigma))
-    link = PlatformLink(runs, made.commands, made.deflection)
-    assert sticking(link, POSE_NOISE, 4).starts[20, 0.0][0] == pytest.approx(8.37e-5, rel=1e-4)
+        measured[:, 0] = 1e-17 * np.random.default_rng(6).standard_normal(run.rows)
+        sigma[:, 0] = level
+        return replace(run, measured=measured, sigma=sigma)
+
+    return change
 
 
-def test_a_pose_without_noise_is_scanned_in_bounds() -> None:
+def exact(run: LinkRun, shown: Array) -> LinkRun:
+    return replace(run, measured=shown)
+
+
+@pytest.mark.parametrize(
+    ("change", "noise"),
+    [
+        (loud, 10.0 * POSE_NOISE),
+        (with_rows_lost, POSE_NOISE),
+        (with_an_axis_at(np.inf), POSE_NOISE),
+        (with_an_axis_at(POSE_NOISE), POSE_NOISE),
+        (exact, 0.0),
+        (exact, POSE_NOISE),
+    ],
+)
+def test_a_stick_is_found_whatever_else_is_in_the_record(change: Change, noise: float) -> None:
     hidden = sticks(20, 8.37e-5)
     made = platform_link(hidden)
-    runs = [replace(run, measured=made.shown(i, hidden)) for i, run in enumerate(made.runs)]
-    found = sticking(PlatformLink(runs, made.commands, made.deflection), 0.0, 4)
+    runs = [change(run, made.shown(i, hidden)) for i, run in enumerate(made.runs)]
+    link = PlatformLink(runs, made.commands, made.deflection)
+    found = sticking(link, noise, 4)
     assert found.starts[20, 0.0][0] == pytest.approx(8.37e-5, rel=1e-4)
-
-
-def test_a_stick_is_found_where_no_noise_is_left() -> None:
-    hidden = sticks(20, 8.37e-5)
-    noisy = platform_link(hidden)
-    runs = [replace(run, measured=noisy.shown(i, hidden)) for i, run in enumerate(noisy.runs)]
-    link = PlatformLink(runs, noisy.commands, noisy.deflection)
-    found = sticking(link, POSE_NOISE, 4)
-    assert list(found.starts) == [(20, 0.0)]
-    assert left_by(link, found)[0] == 0.0
+    if change is exact and noise:
+        assert list(found.starts) == [(20, 0.0)]
+        assert left_by(link, found)[0] == 0.0
 
 
 @SLOW

@@ -138,7 +138,6 @@ def test_stages_leave_what_they_are_given_as_it_is() -> None:
 def test_the_gain_on_left_out_runs_is_that_of_the_cause_and_not_of_its_parameters() -> None:
     e = explained(effect("contact.preload", force=6.0))
     gain = heldout(e, e.fit)
-    assert gain is not None
     assert gain.significant
     assert gain.rms_after == pytest.approx(1.0, abs=0.05)
     assert gain.rms_before > 10.0

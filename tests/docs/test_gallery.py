@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 from pathlib import Path
-from types import ModuleType
 
 import nbformat
 import pytest
 
+from tests.scripts import module
 from tests.slow import SLOW, slow
 
 ROOT = Path(__file__).parents[2]
@@ -17,15 +16,6 @@ GALLERY = ROOT / "examples" / "gallery"
 NOTEBOOKS = sorted(GALLERY.glob("*.ipynb"))
 LONG = ("a-diagnosis", "six-axes")
 BLANK = 5e3  # [bytes] that a picture with nothing in it takes at most
-
-
-def module(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ method, column and public name.
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import shlex
 import sys
@@ -19,6 +18,7 @@ from hiltestbed import cli
 from hiltestbed.config.check import KINDS, json_schema
 from hiltestbed.effects import EFFECTS
 from hiltestbed.signals import GROUPS
+from tests.scripts import module
 from tests.slow import slow
 
 ROOT = Path(__file__).parents[2]
@@ -36,24 +36,14 @@ LONG = ("my-data",)  # a diagnosis and its figures
 OPEN = ("view",)  # commands that need a display
 
 
-def module(name: str) -> ModuleType:
-    """A hook of the site."""
-    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
-
-
 @pytest.fixture(scope="module")
 def reference() -> ModuleType:
-    return module("reference_pages")
+    return module(DOCS / "reference_pages.py")
 
 
 @pytest.fixture(scope="module")
 def pages(reference: ModuleType) -> dict[str, str]:
-    return reference.pages() | module("gallery_pages").pages()
+    return reference.pages() | module(DOCS / "gallery_pages.py").pages()
 
 
 @pytest.mark.usefixtures("tables_as_shipped")
@@ -165,7 +155,7 @@ def test_links_lead_somewhere_where_the_repository_is_read() -> None:
 
 def test_links_lead_somewhere_on_the_site(pages: dict[str, str]) -> None:
     """To a page or a file below the documentation, or to one that is made from the code."""
-    links = module("repository_links")
+    links = module(DOCS / "repository_links.py")
     for page in DOCS.rglob("*.md"):
         here = page.relative_to(DOCS)
         for target in LINK.findall(links.for_the_site(page.read_text(), here.as_posix())):

@@ -42,7 +42,6 @@ def test_a_latch_is_found_on_six_axes_as_its_jacobian_has_it() -> None:
     )
     assert found.plant.captured[0]
     assert ideal.plant.captured[0]
-    assert found.identification is not None
     plant = cast("Plant", ideal.plant)
     steps = measured(plant, plant.pose_act[0].copy(), np.zeros(3), 1)
     estimates = (found.identification.stiffness, found.identification.damping)
@@ -66,8 +65,6 @@ def test_the_lever_of_a_latch_is_taken_out(scenario: str) -> None:
     loaded = load_scenario(scenario, set=QUIET)
     phases = loaded.mechanism.phases()
     close = phases[-1].close
-    assert close is not None
-    assert close.radius is not None
     lever = sides_of(loaded.mechanism).sites["A", close.active][1][:3]
     delay = round(loaded.sensor.delay * loaded.rate)
     t = np.arange(2000) / loaded.rate
@@ -103,8 +100,6 @@ def body_rate(vector: np.ndarray, rate: np.ndarray) -> np.ndarray:
 def test_what_rubs_or_stands_still_is_not_told() -> None:
     """The gripper's jaws share every load, and nothing moves after the clamping."""
     loop = ended("17-gripper", duration=9.0)
-    assert loop.plant.phases is not None
     assert loop.plant.phases.begun[0] == 3
-    assert loop.identification is not None
     estimate = loop.identification.stiffness[0]
     assert np.isnan(estimate).all()

@@ -98,7 +98,6 @@ def test_a_command_of_four_digits_is_within_half_a_step_of_what_was_written_and_
     pq.write_table(pa.table(written | {"t": t}), tmp_path / "run.parquet")
     scenario = load_scenario("reference-bumper", {"rate": 1000, "duration": 1.0})
     record, _ = read_record(0, tmp_path / "run.parquet", {}, scenario)
-    assert record is not None
     assert record.digits["pose_cmd.px"] == 4
     step = np.where(true < 0.1, 1e-5, 1e-4)
     np.testing.assert_allclose(record.rounding("pose_cmd")[:, 0], step / np.sqrt(12.0))

@@ -36,7 +36,6 @@ def test_a_rebound_without_delay_is_the_closed_form(damping: float) -> None:
 def test_a_pure_delay_makes_the_energy_of_the_exact_series(w_tau: float) -> None:
     scenario = head_on(mechanism__contact__damping=0.0, sensor__delay=w_tau / W)
     figures = simulate([scenario]).figures[0]
-    assert figures.cor is not None
     assert figures.cor == pytest.approx(cor_pure_delay(W, w_tau / W), rel=5e-3)
     # what the rebound has more than the approach
     made = 0.5 * MU * 0.03**2 * (figures.cor**2 - 1.0)
@@ -47,7 +46,6 @@ def test_a_pure_delay_makes_the_energy_of_the_exact_series(w_tau: float) -> None
 def test_the_coupling_adds_no_delay(rate: int) -> None:
     """A hold would add half a tick, ln e = (pi/2) w h/2; less than a twentieth is there."""
     figures = simulate([head_on(rate=rate, physics_rate=2 * rate)]).figures[0]
-    assert figures.cor is not None
     assert (
         abs(math.log(figures.cor / cor_at_zero_force(K, 400.0, MU)))
         < 0.5 * math.pi * W * 0.05 / rate
@@ -57,7 +55,6 @@ def test_the_coupling_adds_no_delay(rate: int) -> None:
 def test_free_flight_makes_neither_force_nor_energy() -> None:
     ideal = {"rig.platform.tracking": "ideal"}
     batch = simulate([load_scenario("01-free-flight", set=ideal)], trace=True)
-    assert batch.trace is not None
     assert not batch.trace.contact.any()
     assert not batch.trace["wrench_true"].any()
     assert batch.figures[0].energy_generated == 0.0
@@ -90,9 +87,6 @@ def test_the_same_seed_gives_the_same_bytes_alone_and_in_a_batch() -> None:
     alone = simulate([base], trace=True).trace
     again = simulate([base], trace=True).trace
     among = simulate([*others[:10], base, *others[10:]], trace=True, nthread=2).trace
-    assert alone is not None
-    assert again is not None
-    assert among is not None
     for name, array in alone.data.items():
         assert array[:, 0].tobytes() == again[name][:, 0].tobytes(), name
         assert array[:, 0].tobytes() == among[name][:, 10].tobytes(), name
@@ -133,7 +127,6 @@ def test_each_axis_is_found_through_the_delay_and_does_not_show_on_another() -> 
         scenarios.append(load_scenario(SCENARIO, set=changes))
     batch = simulate(scenarios, trace=True)
     assert not batch.trouble
-    assert batch.trace is not None
     late, now = slice(DELAY_TICKS, None), slice(None, -DELAY_TICKS)
     for i, (axis, identified) in enumerate(zip(AXES, batch.identification, strict=True)):
         found = identified[axis]

@@ -90,6 +90,5 @@ def test_soft_capture_comes_when_two_free_bodies_say_so(
     found = simulate([scenario_from(scenario)], trace=True)
     first = found.outcomes[0]["phases"][0]
     assert first["at"] == pytest.approx(elapsed, rel=0.02, abs=0.01)
-    assert found.trace is not None
     reached = found.trace["pose_act"][round(elapsed * RATE), 0, :3]
     np.testing.assert_allclose(reached, path, atol=2e-3)

@@ -13,7 +13,6 @@ from ruamel.yaml import YAML
 from hiltestbed import load_scenario
 from hiltestbed.effects import EFFECTS
 from hiltestbed.scenario import resolved
-from hiltestbed.simulation import simulate as simulated
 from hiltestbed.simulation import simulate as simulated_here
 from tests.equipment.independent_rig import (
     docking_rig,
@@ -22,7 +21,6 @@ from tests.equipment.independent_rig import (
     nominal_rig,
     overridden,
     silence,
-    simulate,
     with_effect,
 )
 from tests.equipment.independent_rig import simulate as simulated_there
@@ -52,11 +50,10 @@ def test_two_rigs_run_alike_under_the_same_effect(name: str, tmp_path: Path) -> 
     with (tmp_path / "nominal.yaml").open("w", encoding="utf-8") as file:
         YAML(typ="safe").dump(facility.scenario, file)
     scenario = load_scenario(tmp_path / "nominal.yaml", set={**changes, "effects": effects})
-    trace = simulated([scenario], trace=True).trace
-    assert trace is not None
+    trace = simulated_here([scenario], trace=True).trace
     rig = nominal_rig(overridden(facility.scenario, changes))
     rig = with_effect(rig._replace(contact=rig.contact._replace(lever=0.5)), effects[0])
-    records = simulate(rig, silence(rig.ticks))
+    records = simulated_there(rig, silence(rig.ticks))
     depth = records.pose_act[:, 2].max()
     peak = np.abs(records.physical[:, 2]).max()
     # What is left is sub-steps: one rig has 2 or 4 a tick, the other 20. A reading between two
@@ -137,7 +134,7 @@ def test_a_compensation_method_drives_both_alike(method: dict) -> None:
     assert np.abs(trace["wrench_comp"][:, 0] - records.wrench_comp).max() < 1e-3
 
 
-EFFECTS = [
+IN_DOCKING = [
     {"kind": "contact.surface_friction", "coefficient": 0.25},
     {"kind": "contact.misalignment", "angles_deg": [1.5, -1.0]},
     {"kind": "sensor.lag", "time_constant": 0.003},
@@ -146,7 +143,7 @@ EFFECTS = [
 ]
 
 
-@pytest.mark.parametrize("effect", EFFECTS, ids=str)
+@pytest.mark.parametrize("effect", IN_DOCKING, ids=str)
 def test_an_effect_in_a_docking_does_the_same_in_both(effect: dict) -> None:
     changes = LATE | {"compensation.force": {"kind": "phase_lead"}, "physics_rate": 10000}
     if effect["kind"] == "sensor.lag":  # the other rig's filter sees the force once a tick

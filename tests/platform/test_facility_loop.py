@@ -62,7 +62,6 @@ def test_a_sensor_that_moves_reads_the_contact_and_nothing_else() -> None:
     of where the ports are.
     """
     done = run(bounce("two_arms"))
-    assert done.trace is not None
     z, v, f = done.trace["pose_act"][:, 2], done.trace["twist_act"][:, 2], done.trace["wrench_true"]
     k, c = fitted(z, v, f[:, 2])
     assert k == pytest.approx(K, rel=2e-3)
@@ -90,8 +89,6 @@ def test_a_run_alone_is_the_run_in_a_batch_bit_for_bit(rig) -> None:
     runs = [scenario(0.03, 0.22), scenario(0.05, 0.5), scenario(0.02, 0.15)]
     for both in zip(run_batch(runs, trace=True)[1:], map(run, runs[1:]), strict=True):
         together, alone = (done.trace for done in both)
-        assert together is not None
-        assert alone is not None
         for name, column in alone.columns().items():
             np.testing.assert_array_equal(column, together.columns()[name], err_msg=name)
 
@@ -138,7 +135,6 @@ def test_the_run_folder_has_the_joints_that_there_are(kind, units, tmp_path) -> 
     """
     write_run(run(bounce(kind, changes={"duration": 0.1})), tmp_path / "run")
     again = read_run(tmp_path / "run").trace
-    assert again is not None
     assert again.joints == units
     columns = [name for name in again.columns() if name.startswith("slider_act.")]
     assert columns == [f"slider_act.{j}" for j in range(len(units))]
@@ -147,7 +143,6 @@ def test_the_run_folder_has_the_joints_that_there_are(kind, units, tmp_path) -> 
 
 def test_bodies_that_move_by_themselves_have_neither_command_nor_ledger() -> None:
     done = run(bounce("air_bearing", changes={"sensor.delay": 0.005}))
-    assert done.trace is not None
     assert np.array_equal(done.trace["pose_cmd"], done.trace["pose_act"])
     assert np.array_equal(done.trace["wrench_comp"], done.trace["wrench_true"])
     assert [entry["source"] for entry in done.summary["delay_ledger"]] == ["total"]
@@ -177,7 +172,6 @@ def test_a_rig_of_the_users_own_docks() -> None:
 
 def test_a_drive_moves_the_masses_above_it_and_carries_the_contact() -> None:
     drives = demand_of(bounce("mjcf"))
-    assert drives is not None
     above = np.array([645.0, 385.0, 205.0]) + 200.0  # [kg] moved by x, y and z; the bumper's
     weight = np.array([0.0, 0.0, 405.0 * 9.81])  # [N]
     np.testing.assert_allclose(drives.weight[:3], weight, atol=1e-6)
@@ -194,7 +188,8 @@ def test_the_forces_of_drives_in_a_contact_are_foreseen(kind: str) -> None:
     scenario = bounce(kind, soft | {"approach.velocity": [0.0, 0.0, 0.2]})
     drives, loop = demand_of(scenario), Loop([scenario])
     assert drives is not None
-    tracking: Any = loop.plant._tracking
+    plant: Any = loop.plant
+    tracking = plant._tracking
     columns = [tracking.model.joint(axis.joint).dofadr[0] for axis in drives.axes]
     peak, found = 0.0, np.zeros(len(columns))
     for _ in range(int(scenario.duration * scenario.rate)):
@@ -211,9 +206,8 @@ def test_a_check_says_which_contact_a_drive_cannot_exert(tmp_path: Path) -> None
     hard = {"mechanism.contact.stiffness": 3.0e6, "approach.velocity": [0.0, 0.0, 2.0]}
     file = tmp_path / "hard.yaml"
     file.write_text(dump_scenario(bounce("serial_arm", hard)))
-    said = [text for text in look_at(file).remarks if "of the drive of joint" in text]
-    found = re.search(r"joint a.*its limit is .* N m; approach at less than (\S+) m/s", *said)
-    assert found is not None
+    (said,) = (text for text in look_at(file).remarks if "of the drive of joint" in text)
+    found = re.search(r"joint a.*its limit is .* N m; approach at less than (\S+) m/s", said)
     for share, count in ((0.99, 0), (1.01, 1)):
         speed = {"approach.velocity.2": share * float(found[1])}
         remarks = look_at(file, speed).remarks

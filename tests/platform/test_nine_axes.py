@@ -80,7 +80,6 @@ def test_both_platforms_follow_and_the_sensor_loses_weight_and_inertia_of_its_pa
     wrench = result["wrench"].reshape(-1, 6)
     tracking = plant._tracking
     assert isinstance(tracking, NineAxes)
-    assert tracking.upper.drives is not None
     weight = tracking.upper.drives.payload[0] * GRAVITY
     assert weight == pytest.approx(120.0 * GRAVITY)
     assert np.linalg.norm(wrench[:, :3], axis=1).max() < 5e-4 * weight
@@ -122,8 +121,6 @@ def test_docking_is_what_it_is_without_an_upper_platform_bit_for_bit() -> None:
     data = scene.model_dump(mode="json")
     data["rig"]["upper"] = {"kind": "fixed"}
     with_upper, without = run(scene).trace, run(runnable_from(data)).trace
-    assert with_upper is not None
-    assert without is not None
     assert without.contact.any()
     for name in ("pose_act", "twist_act", "wrench_true", "pose_cmd", "slider_act"):
         assert np.array_equal(with_upper[name], without[name])
@@ -149,7 +146,6 @@ def test_the_upper_platform_is_clamped_when_the_ports_touch() -> None:
     """
     s = nine_axes(approach={"gap": 0.4, "velocity": [0.0, 0.0, 0.3]}, duration=1.6)
     trace = run(s).trace
-    assert trace is not None
     touch = trace.contact & (trace["pose_act"][:, 2] > 1e-4)
     contact, depth, rate = s.mechanism.contact, trace["pose_act"][touch, 2], trace["twist_act"]
     law = np.maximum(contact.stiffness * depth + contact.damping * rate[touch, 2], 0.0)
@@ -164,7 +160,6 @@ def test_an_effect_of_the_lower_platform_is_seen_where_the_lower_platform_moves(
     late = [{"kind": "platform.delay", "delay": 0.01}]
     s = nine_axes("ideal", "ideal", approach=approach, duration=2.9, effects=late)
     trace = run(s).trace
-    assert trace is not None
     behind = trace["pose_cmd"][:-1, 2] - trace["pose_act"][1:, 2]
     gap = -trace["pose_act"][1:, 2]
     np.testing.assert_allclose(behind[gap > DOCKING + BLEND], 0.0, atol=1e-12)

@@ -100,7 +100,6 @@ def record(scenarios: Sequence[Scenario]) -> Recorded:
     for numbers in groups.values():
         batch = simulate([scenarios[i] for i in numbers], trace=True)
         assert not batch.trouble, batch.trouble
-        assert batch.trace is not None
         for name, array in batch.trace.data.items():
             rows = data.setdefault(name, [np.empty(0)] * len(scenarios))
             for k, i in enumerate(numbers):

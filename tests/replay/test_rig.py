@@ -42,7 +42,6 @@ def test_it_goes_where_the_rig_went(rig: str, changes: dict[str, Any]) -> None:
         recorded["wrench_true"][0],
         recorded["wrench_meas"][0],
     )
-    assert path is not None
     reached = recorded["pose_act"][0]
     assert np.abs(path[0] - reached[0]).max() < 1e-14
     assert np.abs(path - reached).max() < 7e-7
@@ -72,7 +71,6 @@ def test_on_a_mount_it_bears_what_the_contact_exerts() -> None:
         path = replay_rig(
             s, recorded["pose_cmd"][0], recorded["twist_cmd"][0], wrench, recorded["wrench_meas"][0]
         )
-        assert path is not None
         return float(np.abs(path - recorded["pose_act"][0]).max())
 
     assert missed(borne(s, felt)) < 7e-7

@@ -227,27 +227,14 @@ DISTORTIONS: dict[str, Distortion] = {
     "wrench_comp ten rows early": Distortion(_shifted("wrench_comp", -10), check="shift"),
     "wrench_meas five rows early": Distortion(_shifted("wrench_meas", -5), check="shift"),
     **{
-        f"pose in {unit}": Distortion(_scaled(POSES, "px py pz", f), check="unit")
-        for unit, f in LENGTHS.items()
-    },
-    **{
-        f"reached pose in {unit}": Distortion(_scaled(("pose_act",), "px py pz", f), check="unit")
-        for unit, f in LENGTHS.items()
-    },
-    **{
-        f"force in {unit}": Distortion(_scaled(WRENCHES, "fx fy fz tx ty tz", f), check="unit")
-        for unit, f in FORCES.items()
-    },
-    **{
-        f"measured force in {unit}": Distortion(
-            _scaled(("wrench_meas",), "fx fy fz", f), check="unit"
+        f"{what} in {unit}": Distortion(_scaled(groups, parts, factor), check="unit")
+        for what, groups, parts, units in (
+            ("pose", POSES, "px py pz", LENGTHS),
+            ("reached pose", ("pose_act",), "px py pz", LENGTHS),
+            ("force", WRENCHES, "fx fy fz tx ty tz", FORCES),
+            ("measured force", ("wrench_meas",), "fx fy fz", FORCES),
+            ("compensated force", ("wrench_comp",), "fx fy fz", FORCES),
         )
-        for unit, f in FORCES.items()
-    },
-    **{
-        f"compensated force in {unit}": Distortion(
-            _scaled(("wrench_comp",), "fx fy fz", f), check="unit"
-        )
-        for unit, f in FORCES.items()
+        for unit, factor in units.items()
     },
 }

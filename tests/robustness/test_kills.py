@@ -108,7 +108,6 @@ def running(name: str, inputs: Path, out: Path) -> Iterator[subprocess.Popen[byt
         f"--platform udp://127.0.0.1:{platform}?peer={heard}".split()
     )
     try:
-        assert devices.stderr is not None
         assert devices.stderr.readline()
         ports = {"sensor": f"{sensor}?listen={listen}", "platform": f"{platform}?listen={heard}"}
         yield started([word.format(out=out, **ports) for word in words])

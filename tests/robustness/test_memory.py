@@ -58,7 +58,6 @@ def grown(once: Callable[[int], object], times: int) -> float:
 
 def size_of(done: Run) -> int:
     """[byte] of the trace of a run."""
-    assert done.trace is not None
     return sum(column.nbytes for column in done.trace.columns().values())
 
 

@@ -64,7 +64,6 @@ def test_a_frame_that_rings_beyond_all_steps_is_refused(frequency, mass, said) -
 
 def test_physics_too_fine_to_measure_the_rig_is_said_and_not_waited_for() -> None:
     judged = stability(load_scenario("15-ring-docking", {"physics_rate": 4e6, "duration": 0.003}))
-    assert judged is not None
     assert judged["stable"] is None
     assert judged["verdict"].startswith("not judged: 8e+06 steps of the physics")
 

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
 from hiltestbed.errors import InputError
 from hiltestbed.sensor import ForceSensor, noise_like
+from tests.scripts import module
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "sensor" / "in_mujoco.py"
-
-
-def example() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("in_mujoco", EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
-    found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
 
 
 def test_a_ramp_is_read_late_scaled_and_mixed() -> None:
@@ -75,7 +65,7 @@ def test_what_is_no_sensor_is_said(settings: dict, effects: list, words: str) ->
 
 
 def test_the_callback_of_mujoco_reads_the_force_of_ten_steps_before() -> None:
-    true, measured = example().bounce(ForceSensor(2000.0, {"delay": 0.005})).T
+    true, measured = module(EXAMPLE).bounce(ForceSensor(2000.0, {"delay": 0.005})).T
     assert np.abs(true).max() > 1.0
     np.testing.assert_allclose(measured[10:], true[:-10], atol=1e-12)
 

@@ -22,10 +22,8 @@ def touched() -> Run:
 
 
 def test_the_stroke_of_a_probe_is_a_column(touched: Run, tmp_path: Path) -> None:
-    assert touched.trace is not None
     write_run(touched, tmp_path / "run", rerun=False, report=False)
     read = read_run(tmp_path / "run").trace
-    assert read is not None
     stroke = read["joint.active_stroke"]
     np.testing.assert_array_equal(stroke, touched.trace["joint.active_stroke"])
     assert read.about()["joint.active_stroke"]["unit"] == "m"

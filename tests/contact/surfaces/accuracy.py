@@ -21,12 +21,12 @@ from hiltestbed.contact.surfaces.mesh import plant
 from hiltestbed.contact.surfaces.revolution import recognise
 from hiltestbed.contact.surfaces.surface import MESH, TURNED, Surface, signed_distance
 from hiltestbed.contact.surfaces.turned import obj_text, polyline, shell, turn
-from tests.contact.cone_in_closed_form import GENERATOR, HALF_ANGLE, SHELL
-from tests.contact.cone_in_closed_form import SOCKET_RADIUS as SOCKET
-from tests.contact.cone_in_closed_form import TIP_RADIUS as BALL
+from tests.equipment.independent_rig.cone import Surfaces
 
 CONE = Path(__file__).resolve().parents[3] / "models" / "probe_cone"
-THICKNESS = 2.0 * SHELL
+SHAPE = Surfaces()
+BALL, SOCKET, HALF_ANGLE, GENERATOR = SHAPE.tip, SHAPE.socket, SHAPE.half_angle, SHAPE.generator
+THICKNESS = 2.0 * SHAPE.half_wall
 DEPTH = 1e-3  # [m]
 # a place of the ball's centre to penetration and outward normal
 Query = Callable[[np.ndarray], tuple[float, np.ndarray]]
@@ -175,7 +175,6 @@ def _field(segments: int) -> Row:
 
 def _turned(segments: int) -> Surface:
     found = recognise(*turned_cone(segments))
-    assert found is not None
     return Surface(TURNED, np.zeros(3), found.profile)
 
 

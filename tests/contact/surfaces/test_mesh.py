@@ -109,7 +109,6 @@ def test_the_table_of_descriptions() -> None:
 
 def test_rod_against_the_rim_is_the_least_of_its_points() -> None:
     surface, _ = of_mesh(*turned_cone(96))
-    assert surface is not None
     assert surface.kind == TURNED
     normal, nearest, scratch = np.zeros(3), np.zeros(3), np.zeros(3)
     rng = np.random.default_rng(2)
@@ -138,7 +137,6 @@ def test_rod_across_a_box_edge() -> None:
 
 def test_a_mesh_that_was_not_turned_keeps_its_triangles() -> None:
     surface, findings = of_mesh(CUBE, CUBE_FACES)
-    assert surface is not None
     assert (surface.kind, findings) == (MESH, [])
     assert recognise(CUBE, CUBE_FACES) is None
 

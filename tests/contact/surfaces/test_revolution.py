@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from hiltestbed.contact.surfaces.profile import Element, profile_distance
 from hiltestbed.contact.surfaces.revolution import Revolution, recognise
 from hiltestbed.contact.surfaces.turned import obj_text, polyline, turn
-from tests.contact.cone_in_closed_form import cone_distance
 from tests.contact.surfaces.accuracy import CONE
+from tests.equipment.independent_rig.cone import Surfaces, clearance
 
 SQUARE = [
     Element((0.1, 0.0), (0.1, 0.1)),
@@ -43,14 +43,14 @@ def distance(revolution: Revolution, point: tuple[float, float, float]) -> float
 
 
 def test_the_shipped_cone_is_what_its_dimensions_say() -> None:
-    """Against the closed form of a shell about a cone and a socket, within the shell's half
-    thickness of its inside and its rim.
+    """Against the closed form of the independent rig, within the shell's half thickness of its
+    inside and its rim.
     """
     cone = _shipped()
     rng, normal, expected = np.random.default_rng(0), np.zeros(3), np.zeros(3)
     compared = 0
     for p in rng.uniform([-0.2, -0.2, -0.2], [0.2, 0.2, 0.0], (5000, 3)):
-        wanted = cone_distance(p, expected)
+        wanted = clearance(Surfaces(), p, expected)
         if -0.01 < wanted < 0.03 and p[2] < -0.02:
             compared += 1
             assert profile_distance(cone.profile, p, normal) == pytest.approx(wanted, abs=1e-8)

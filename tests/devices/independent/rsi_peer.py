@@ -67,7 +67,6 @@ class IndependentRobot:
         assert root.tag == "Sen"
         assert root.get("Type") == "ImFree"
         korr = root.find("RKorr")
-        assert korr is not None
         frame = [float(korr.attrib[name]) for name in "XYZABC"]
         if int(root.findtext("IPOC", "")) != self.ipoc:
             self.late += 1

@@ -2,17 +2,17 @@
 diagnosis.
 
 Two free bodies, platform, contact, sensor and compensator, implemented independently from their
-definitions, with different sub-steps from the simulation: `closed_loop` is the tick of a tip on a
-plane (three axes), `six_axes` that of probe and cone, bumper or latch, rigid or on a compliant
-mount. Every effect of the vocabulary can be hidden in it, alone and in combination, and so can
-foreign effects, which are outside the vocabulary.
+definitions, with different sub-steps from the simulation; `closed_loop` is the tick. The mechanism
+is a point on a plane, a bumper, probe and cone, or a latch, rigid or on a compliant mount. Every
+effect of the vocabulary can be hidden in it, alone and in combination, and so can foreign effects,
+which are outside the vocabulary.
 
     rng = np.random.default_rng(7)
     hidden = draw_set(rng, "single")  # healthy | single | pair | triple | foreign | alike
     hidden = draw_set(rng, "pair", names=("contact.preload", "sensor.hum"), design="docking")
     hidden = draw_set(rng, "healthy", noise=("coloured", 0.1), nuisances=draw_nuisances(rng))
     write_set("folder", hidden)  # nominal.yaml, dataset.yaml, run_0.parquet ... run_5.parquet
-    hidden.truth  # effects, their links and strengths relative to the noise
+    hidden.effects, hidden.links, hidden.strengths  # the truth; strengths relative to the noise
 
 Contact and sensor (and the frame) affect the same records, pose_act and wrench_meas: either is a
 right link for an effect of the other.

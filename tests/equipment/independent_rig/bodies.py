@@ -118,24 +118,6 @@ def relative_pose(bodies, state):
     return pose
 
 
-@njit(cache=True)
-def relative_twist(bodies, state):
-    """Velocity of A's origin relative to P's frame on the target, and relative angular velocity,
-    (6,) in P.
-    """
-    turned, other = matrix(state[TARGET, Q]), matrix(state[CHASER, Q])
-    arm_c = times(other, bodies.port_position[CHASER])
-    spin_t, spin_c = times(turned, state[TARGET, W]), times(other, state[CHASER, W])
-    active = state[CHASER, R] + arm_c
-    # from the target's centre of mass to A: P's frame has its velocity there
-    at_active = active - state[TARGET, R]
-    velocity = state[CHASER, V] + cross(spin_c, arm_c) - state[TARGET, V] - cross(spin_t, at_active)
-    back = matrix(inverse(product(state[TARGET, Q], bodies.port_attitude[TARGET])))
-    out = np.empty(6)
-    out[:3], out[3:] = times(back, velocity), times(back, spin_c - spin_t)
-    return out
-
-
 def start(bodies: Bodies, approach: dict) -> tuple[np.ndarray, np.ndarray]:
     """State (2, 19) and relative pose (7,) at t = 0: the target at rest, the ports at the relative
     pose given by `approach`.

@@ -12,8 +12,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from hiltestbed.compiled.jit import njit
 
 FIRST_LOOK = 16  # intervals of a coarse search along the rod for the point nearest to the rim
@@ -144,22 +142,3 @@ def rod_clearance(s, ball, axis, normal, place):
     for i in range(3):
         normal[i] /= max(away, 1e-12)
     return away - s.half_wall
-
-
-def profile(s: Surfaces, points: int = 4000) -> np.ndarray:
-    """(n, 2) rho, z [m] of the contact surface, from the socket's bottom over the rim to the
-    outside of the wall.
-    """
-    a, e = s.half_angle, s.half_wall
-    down = np.linspace(0.5 * math.pi, a, points)  # angle from the plane of the socket's centre
-    socket = np.stack([s.socket * np.cos(down), s.socket * np.sin(down) - s.socket], axis=1)
-    into = np.array([math.cos(a), math.sin(a)])
-    wall = np.array([math.sin(a), -math.cos(a)])
-    centre = np.array([0.0, -s.socket])
-    run = np.linspace(0.0, s.generator, points)[:, None]
-    inner = centre + s.socket * into + run * wall
-    rim = centre + (s.socket + e) * into + s.generator * wall
-    turn = np.linspace(0.0, math.pi, points)[:, None]
-    edge = rim - e * into * np.cos(turn) + e * wall * np.sin(turn)
-    outer = centre + (s.socket + 2.0 * e) * into + run[::-1] * wall
-    return np.concatenate([socket, inner, edge, outer])

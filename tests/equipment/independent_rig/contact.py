@@ -1,4 +1,4 @@
-"""The contact of this rig: the probe's tip on a flat bumper, or in a latch that also pulls.
+"""The contact law of this rig along one normal: it pushes, or in a latch also pulls.
 
 Every law is evaluated at any instant from the position then, the rate of that tick and the states
 of the contact; no force is interpolated across a touch.
@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
-from tests.equipment.independent_rig.rotation import add_moment
 
 # states: Maxwell force [N], frame [m], [m/s], time since the touch [s], slider [m]
 BRANCH, FRAME, FRAME_V, AGE, SLIDER = range(5)
@@ -26,11 +25,10 @@ STRAIGHT = np.ones(2)
 class Contact(NamedTuple):
     """The contact law; zero switches a term off. SI, in P."""
 
-    normal: np.ndarray  # (3,) of the passive surface, in the direction of insertion
     stiffness: float
     damping: float
     friction: float
-    latched: bool
+    latched: bool = False
     exponent: float = 0.0
     power: float = 0.0  # N/m^exponent
     hunt: float = -1.0  # s/m; negative: k x + c v
@@ -60,7 +58,7 @@ class Contact(NamedTuple):
     ripple_period: float = 1.0  # m
     # 1/m, foreign: force along x as a fraction of the normal force, proportional to penetration
     side: float = 0.0
-    tilt: np.ndarray = UPRIGHT  # (4,) attitude of the passive port; `normal` is its z axis
+    tilt: np.ndarray = UPRIGHT  # (4,) attitude of the passive port
     # 1/N, foreign: relative increase of the friction coefficient with the normal force
     friction_load: float = 0.0
     line: float = 0.0  # foreign: relative amplitude of an oscillation of the force during contact
@@ -70,18 +68,6 @@ class Contact(NamedTuple):
     curve_depth: float = 0.0  # m
     # N/m of the spring in series with the slider of the dry friction; 0: rigid
     dry_stiffness: float = 0.0
-
-
-@njit(cache=True)
-def penetration(law, p):
-    """Penetration [m] of the tip at p (3,); in a latch also negative."""
-    return with_play(law, along(law, p) - law.touch)
-
-
-@njit(cache=True)
-def along(law, vector):
-    """The part of a vector (3,) along the normal."""
-    return vector[0] * law.normal[0] + vector[1] * law.normal[1] + vector[2] * law.normal[2]
 
 
 @njit(cache=True)
@@ -172,31 +158,6 @@ def carried(law, force, state):
 
 
 @njit(cache=True)
-def wrench(law, p, velocity, state, out):
-    """Wrench (6,) on the passive side, in P at its origin, with the tip at p (3,) and its velocity
-    (3,).
-    """
-    x, v = penetration(law, p), along(law, velocity)
-    force = force_on(law, x, v, state)
-    slip = velocity - v * law.normal
-    speed = math.sqrt(slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2 + SLIDING**2)
-    drag = law.friction * abs(force) / speed
-    if law.friction_load != 0.0:
-        drag *= 1.0 + law.friction_load * abs(force)
-    read = carried(law, force, state)
-    deep = along(law, p)
-    for a in range(3):
-        out[a] = read * law.normal[a] + drag * slip[a]
-        if law.latched:  # a latch also holds laterally, on the axis
-            out[a] += law.stiffness * (p[a] - deep * law.normal[a]) + law.damping * slip[a]
-    if law.side != 0.0:
-        out[0] += force * law.side * x
-    lift = (1.0 - law.lever) * x
-    n, out[3:] = law.normal, 0.0
-    add_moment(p[0] - lift * n[0], p[1] - lift * n[1], p[2] - lift * n[2], out, 1.0, out)
-
-
-@njit(cache=True)
 def _ring(law, x0, x1, v, state, dt):
     """Runge-Kutta step of the frame's mode with the contact force."""
     q, qv = state[FRAME], state[FRAME_V]
@@ -217,15 +178,10 @@ def _ring(law, x0, x1, v, state, dt):
 
 
 @njit(cache=True)
-def advance(law, p0, p1, velocity, state, dt):
-    """Advance the contact's `state` (STATES,) over dt, in which the tip moves from p0 to p1."""
-    x0, x1 = penetration(law, p0), penetration(law, p1)
-    advance_along(law, x0, x1, along(law, velocity), state, dt)
-
-
-@njit(cache=True)
 def advance_along(law, x0, x1, v, state, dt):
-    """The same over dt in which the penetration changes from x0 to x1 [m] at the rate v [m/s]."""
+    """Advance the contact's `state` (STATES,) over dt in which the penetration changes from x0 to x1
+    [m] at the rate v [m/s].
+    """
     if law.mode_w > 0.0:
         _ring(law, x0, x1, v, state, dt)
     touching = dt

@@ -31,8 +31,6 @@ from tests.equipment.independent_rig.rotation import (
 )
 
 TIP, ROD = 0, 1
-# m, radius of the ring of latches: the rotational stiffness is that of the latch times its square
-RING = 0.15
 
 
 class Docking(NamedTuple):
@@ -47,6 +45,9 @@ class Docking(NamedTuple):
     latch_cosine: float = 1.0  # of the angle between the axes, at least
     latch_speed: float = 0.0  # m/s, at most
     from_start: bool = False  # latched from the start, at the nominal touch
+    # m, radius of the ring of latches: the rotational stiffness is that of the latch times its
+    # square
+    ring: float = 0.15
 
 
 @njit(cache=True)
@@ -69,7 +70,7 @@ def meet(law, surfaces, pose, twist, which, point, normal, slip):
         place = centre.copy()
         x = radius - rod_clearance(surfaces, centre, axis, normal, place)
         centre = place
-    if x <= -radius:  # far away: neither normal nor point matter
+    if x <= -radius and not surfaces.flat:  # far away: neither normal nor point matter
         normal[:] = 0.0
         normal[2] = 1.0
         return x, 0.0
@@ -146,7 +147,7 @@ def latch_wrench(docking, pose, twist, hold, states, out, seen):
     add_at(pose[:3], force, out)
     away = turn_of(product(pose[3:7], inverse(hold[3:7])))
     for i in range(3):
-        out[3 + i] += RING * RING * (law.stiffness * away[i] + law.damping * twist[3 + i])
+        out[3 + i] += docking.ring**2 * (law.stiffness * away[i] + law.damping * twist[3 + i])
 
 
 @njit(cache=True)

@@ -68,8 +68,6 @@ def _curve(rng: Generator, f: Facility, s: float) -> dict:
 
 
 def _oval(rig: Rig, e: dict) -> Rig:
-    if rig.docking is None:
-        return rig
     return changed(rig, "docking", surfaces=rig.docking.surfaces._replace(oval=e["ratio"]))
 
 

@@ -105,7 +105,6 @@ def record(
     rigs: list[Rig],
     nuisances: Nuisances,
     noise: tuple[str, float] | None,
-    twists: bool,
 ) -> tuple[list[Records], list[Log]]:
     """Records of all runs in closed loop, and the facility's logs of them, with `noise` (kind,
     strength).
@@ -113,7 +112,7 @@ def record(
     runs = [_simulated(rng, facility, i, rig, noise) for i, rig in enumerate(rigs)]
     runs = [restamped(records, nuisances.stamps) for records in runs]
     rate = facility.scenario["rate"]
-    logs = [log_of(records, rate, sigma_of(facility), i, twists) for i, records in enumerate(runs)]
+    logs = [log_of(records, rate, sigma_of(facility), i) for i, records in enumerate(runs)]
     if noise is not None and NOISE_KINDS[noise[0]].place == "log":
         logs = [NOISE_KINDS[noise[0]](log, noise[1], rng) for log in logs]
     return runs, logs
@@ -134,7 +133,7 @@ def _simulated(
         return simulate(rig._replace(sensor=rig.sensor._replace(quantum=strength)), drawn)
     quiet = drawn._replace(reading=np.zeros_like(drawn.reading))
     clean = simulate(rig, quiet)
-    log = log_of(clean._replace(wrench_meas=clean.used), rig.rate, sigma_of(facility), run, False)
+    log = log_of(clean._replace(wrench_meas=clean.used), rig.rate, sigma_of(facility), run)
     noisy = NOISE_KINDS[kind](log, strength, rng)
     return simulate(rig, drawn._replace(reading=noisy.wrench_meas - log.wrench_meas))
 

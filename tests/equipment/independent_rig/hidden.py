@@ -13,7 +13,7 @@ import numpy as np
 
 from tests.equipment.independent_rig.bodies import CHASER, TARGET
 from tests.equipment.independent_rig.links import Rig
-from tests.equipment.independent_rig.rotation import from_attitude, matrix
+from tests.equipment.independent_rig.rotation import from_attitude
 
 Apply = Callable[[Rig, dict], Rig]
 AXES = {"x": 0, "y": 1, "z": 2, "rx": 3, "ry": 4, "rz": 5}
@@ -64,8 +64,7 @@ def _times(old: Any, e: dict) -> Any:
 
 
 def _misalignment(rig: Rig, e: dict) -> Rig:
-    tilt = from_attitude([*e["angles_deg"], 0.0])
-    return changed(rig, "contact", normal=np.ascontiguousarray(matrix(tilt)[:, 2]), tilt=tilt)
+    return changed(rig, "contact", tilt=from_attitude([*e["angles_deg"], 0.0]))
 
 
 def _inertia(rig: Rig, e: dict) -> Rig:

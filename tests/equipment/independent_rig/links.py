@@ -29,11 +29,7 @@ class Timing(NamedTuple):
 
 
 class Rig(NamedTuple):
-    """The five links, with their deviations, and the start of the run.
-
-    Without `docking` the tip is a point against a plane: three translations. With it, tip and rod
-    touch a surface: six axes.
-    """
+    """The five links, with their deviations, the mechanism's geometry, and the start of the run."""
 
     bodies: Bodies
     platform: Platform
@@ -43,7 +39,7 @@ class Rig(NamedTuple):
     approach: dict
     rate: float
     ticks: int
-    docking: Docking | None = None
+    docking: Docking
     timing: Timing = Timing()
 
 

@@ -9,17 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tests.equipment.independent_rig.links import Records
-from tests.equipment.independent_rig.rotation import slope
 
 if TYPE_CHECKING:
     from tests.equipment.independent_rig.sets import HiddenSet
 
-POSES, TWISTS = ("pose_cmd", "pose_act"), ("twist_cmd", "twist_act")
-WRENCHES = ("wrench_meas", "wrench_comp")
+POSES, WRENCHES = ("pose_cmd", "pose_act"), ("wrench_meas", "wrench_comp")
 PARTS = {
     "pose": ("px", "py", "pz", "qx", "qy", "qz", "qw"),
     "wrench": ("fx", "fy", "fz", "tx", "ty", "tz"),
-    "twist": ("vx", "vy", "vz", "wx", "wy", "wz"),
 }
 STAMP_DIGITS = 5  # significant, at least, so that stamps of a text file increase
 
@@ -29,8 +26,7 @@ class Log:
     """The log of a run, n rows.
 
     Attributes:
-        t: (n,) stamps [s]. pose_cmd, pose_act: (n, 7). wrench_meas, wrench_comp: (n, 6). twist_cmd,
-            twist_act: (n, 6) or None.
+        t: (n,) stamps [s]. pose_cmd, pose_act: (n, 7). wrench_meas, wrench_comp: (n, 6).
         tick: [s], of the loop. sigma: (6,) standard deviation of the white noise stated by the
             facility [N, N m].
         run: its number in the set. digits: significant digits of a text file; None: a binary file.
@@ -45,16 +41,10 @@ class Log:
     sigma: np.ndarray
     run: int = 0
     digits: int | None = None
-    twist_cmd: np.ndarray | None = None
-    twist_act: np.ndarray | None = None
 
     def channels(self) -> dict[str, np.ndarray]:
-        """The existing channels, by name."""
-        return {
-            name: rows
-            for name in (*POSES, *TWISTS, *WRENCHES)
-            if (rows := getattr(self, name)) is not None
-        }
+        """The channels, by name."""
+        return {name: getattr(self, name) for name in (*POSES, *WRENCHES)}
 
     def each(self, change) -> Log:
         """The log with every channel replaced by `change(rows)`; quaternions are normalised."""
@@ -64,30 +54,15 @@ class Log:
         return replace(self, **found)
 
 
-def log_of(records: Records, rate: float, sigma: np.ndarray, run: int, twists: bool) -> Log:
-    """The log of a run's records, one row per tick; with `twists` also the velocities, as
-    differences of the poses over a tick.
-    """
+def log_of(records: Records, rate: float, sigma: np.ndarray, run: int) -> Log:
+    """The log of a run's records, one row per tick."""
     t, tick = np.arange(len(records.pose_cmd)) / rate, 1.0 / rate
     channels = {name: getattr(records, name) for name in (*POSES, *WRENCHES)}
-    if twists:
-        channels |= {f"twist_{p[5:]}": _rates(channels[p], tick) for p in POSES}
     return Log(t=t, tick=tick, sigma=sigma, run=run, **channels)
 
 
-def _rates(pose: np.ndarray, h: float) -> np.ndarray:
-    """(n, 6) from poses (n, 7); the first row repeats the second."""
-    out = np.zeros((len(pose), 6))
-    for k in range(1, len(pose)):
-        slope(pose[k - 1], pose[k], h, out[k])
-    out[0] = out[1]
-    return out
-
-
-def write_set(folder: str | Path, hidden: HiddenSet, truth: bool = False) -> Path:
-    """Write nominal.yaml, dataset.yaml and run_N.parquet (run_N.csv for a text log); with `truth`
-    also truth.yaml.
-    """
+def write_set(folder: str | Path, hidden: HiddenSet) -> Path:
+    """Write nominal.yaml, dataset.yaml and run_N.parquet (run_N.csv for a text log)."""
     from ruamel.yaml import YAML
 
     folder = Path(folder)
@@ -100,7 +75,6 @@ def write_set(folder: str | Path, hidden: HiddenSet, truth: bool = False) -> Pat
     ]
     pages: dict[str, Any] = {"nominal.yaml": hidden.facility.scenario}
     pages["dataset.yaml"] = {"scenario": "nominal.yaml", "runs": entries}
-    pages |= {"truth.yaml": hidden.truth} if truth else {}
     for name, content in pages.items():
         with (folder / name).open("w", encoding="utf-8") as file:
             yaml.dump(plain(content), file)

@@ -1,8 +1,9 @@
 """Nuisance parameters: details of a facility's computation that no definition fixes, unknown to the
 diagnosis and not to be found by it.
 
-    nuisances = draw_nuisances(rng)             # at random; width=0.5: half as far from the plain
-    rig rig = with_nuisances(rig, nuisances) records = restamped(records, nuisances.stamps)
+    nuisances = draw_nuisances(rng)
+    rig = with_nuisances(rig, nuisances)
+    records = restamped(records, nuisances.stamps)
 
 Instants are fractions of a tick. None is larger than one half, so that a whole tick remains a
 nameable effect.
@@ -68,29 +69,23 @@ class Nuisances:
 PLAIN = Nuisances()
 
 
-def draw_nuisances(rng: Generator, width: float = 1.0) -> Nuisances:
-    """Random choices; `width` from 0 (the plain rig) to 1 (2 to 200 sub-steps, any lever, instants
-    up to half a tick, stamps to a row).
+def draw_nuisances(rng: Generator) -> Nuisances:
+    """Random choices: 2 to 200 sub-steps, any lever, instants up to half a tick, stamps to a row.
 
-    On average two of the four channels have exact stamps; half of the others are off by whole rows
-    if the width allows it.
+    On average two of the four channels have exact stamps; half of the others are off by whole rows.
     """
-    low, high = (SUBSTEPS * (end / SUBSTEPS) ** width for end in (FEWEST, MOST))
-    substeps = round(math.exp(rng.uniform(math.log(low), math.log(high))))
-    lever = min(max(0.5 + width * rng.uniform(-0.5, 0.5), 0.0), 1.0)
-    read, move, encoder, step = (width * LONGEST * float(rng.random()) for _ in range(4))
-    rate = width * float(rng.random())
-    scheme: Any = "as drawn"
-    if width > 0.0:
-        scheme = str(rng.choice(["exact", "semi_implicit", "trapezoidal"]))
+    substeps = round(math.exp(rng.uniform(math.log(FEWEST), math.log(MOST))))
+    lever = 0.5 + rng.uniform(-0.5, 0.5)
+    read, move, encoder, step = (LONGEST * float(rng.random()) for _ in range(4))
+    rate = float(rng.random())
+    scheme: Any = str(rng.choice(["exact", "semi_implicit", "trapezoidal"]))
     stamps = {}
     for channel in CHANNELS:
-        late = width * FARTHEST * rng.uniform(-1.0, 1.0)
+        late = FARTHEST * rng.uniform(-1.0, 1.0)
         stays, whole = rng.random() < 0.5, rng.random() < 0.5
-        if width > 0.0 and not stays:
-            stamps[channel] = float(np.round(late)) if whole and width >= 0.5 else float(late)
-    at = lever if width > 0.0 else None
-    return Nuisances(substeps, at, read, move, encoder, step, rate, scheme, stamps)
+        if not stays:
+            stamps[channel] = float(np.round(late)) if whole else float(late)
+    return Nuisances(substeps, lever, read, move, encoder, step, rate, scheme, stamps)
 
 
 def with_nuisances(rig: Rig, nuisances: Nuisances) -> Rig:

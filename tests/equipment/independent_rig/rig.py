@@ -48,28 +48,28 @@ def overridden(scenario: dict, changes: dict) -> dict:
 
 
 def nominal_rig(scenario: dict) -> Rig:
-    """The nominal rig of a scenario (a mapping with every key that is read here): bumper or
-    latched, ideal tracking.
+    """The nominal rig of a scenario (a mapping with every key that is read here): the tip a point
+    that meets a plane, or is latched and free to turn; ideal tracking.
     """
-    contact = scenario["mechanism"]["contact"]
+    numbers = scenario["mechanism"]["contact"]
+    stiffness, damping, friction = (numbers[n] for n in ("stiffness", "damping", "friction"))
+    contact = Contact(float(stiffness), float(damping), float(friction))
+    latched = scenario["mechanism"]["kind"] == "latched"
+    point = Docking(Surfaces(tip=0.0, flat=True), contact, no_mount(), from_start=latched, ring=0.0)
     delay = float(scenario["sensor"]["delay"])
     rate = float(scenario["rate"])
-    return Rig(
+    rig = Rig(
         bodies.from_scenario(scenario["spacecraft"]),
         Platform(np.ones(3)),
-        Contact(
-            np.array([0.0, 0.0, 1.0]),
-            float(contact["stiffness"]),
-            float(contact["damping"]),
-            float(contact["friction"]),
-            scenario["mechanism"]["kind"] == "latched",
-        ),
+        contact,
         Sensor(np.ones(6), np.zeros((6, 6)), np.zeros(3), np.zeros(6), np.zeros(3), delay),
         compensator_of(scenario),
         scenario["approach"],
         rate,
         round(float(scenario["duration"]) * rate),
+        point,
     )
+    return with_held(rig)
 
 
 def compensator_of(scenario: dict) -> Compensator:
@@ -93,10 +93,10 @@ def docking_rig(scenario: dict) -> Rig:
     """The rig of a scenario with all six axes: probe and cone, bumper or latched; rigid or on a
     mount; ideal tracking.
     """
-    flat = nominal_rig(scenario)
-    contact = flat.contact._replace(latched=False, lever=MIDDLE)
+    rig = nominal_rig(scenario)
+    contact = rig.contact._replace(lever=MIDDLE)
     docking = _docking(scenario["mechanism"], contact)
-    return with_held(flat._replace(contact=contact, docking=docking))
+    return with_held(rig._replace(contact=contact, docking=docking))
 
 
 def _docking(mechanism: dict, contact: Contact) -> Docking:
@@ -125,8 +125,6 @@ def with_held(rig: Rig) -> Rig:
     """The rig with its contact law also in its latch; a latch that closes holds the pose at
     capture, without offset, preload or stop.
     """
-    if rig.docking is None:
-        return rig
     law = rig.contact._replace(latched=True)
     if not rig.docking.from_start:
         law = law._replace(touch=0.0, preload=0.0, stop_stiffness=0.0)

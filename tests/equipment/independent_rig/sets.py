@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from numpy.random import Generator
@@ -38,7 +38,6 @@ Kind = Literal["healthy", "single", "pair", "triple", "foreign", "alike"]
 Design = Literal["bumper", "docking", "mounted", "held"]
 FACILITIES = 200  # largest number of draws for a set
 STRONG_ENOUGH = 150  # draws after which a weak effect is accepted too
-WEAKEST = 0.3  # smallest strength of an observable effect
 
 
 @dataclass(frozen=True)
@@ -53,11 +52,9 @@ class HiddenSet:
         strengths: of the effects, in their order: rms change of the link's records by the effect
             during contact, in units of their noise, with the loop opened before the link.
             Unobservable below about 0.3.
-        variants: interpretations of the definitions where they leave a choice: see `draw_variants`.
         runs: the records of each run, with noise, in the order of the facility's runs; logs: their
             logs, as written to files.
-        noise, nuisances: as requested. rival: for kind alike, the effect that
-            looks like the hidden one.
+        noise, nuisances: as requested.
     """
 
     kind: Kind
@@ -65,27 +62,10 @@ class HiddenSet:
     effects: list[dict[str, Any]]
     links: list[str]
     strengths: list[float]
-    variants: dict[str, Any]
     runs: list[Records] = field(repr=False)
     logs: list[Log] = field(repr=False, default_factory=list)
     noise: tuple[str, float] | None = None
     nuisances: Nuisances = AS_TODAY
-    rival: dict[str, Any] | None = None
-
-    @property
-    def truth(self) -> dict[str, Any]:
-        """Contents of `truth.yaml`; entries equal to those of a plain bumper set are omitted."""
-        weak = [e["kind"] for e, s in zip(self.effects, self.strengths, strict=True) if s < WEAKEST]
-        found = {name: getattr(self, name) for name in ("kind", "effects", "links", "strengths")}
-        found |= {"unobservable": weak, "variants": self.variants}
-        found["design"] = sorted(self.facility.design)
-        if self.rival is not None:
-            found["rival"] = self.rival
-        if self.noise is not None:
-            found["noise"] = {"kind": self.noise[0], "strength": self.noise[1]}
-        if self.nuisances != AS_TODAY:
-            found["nuisances"] = asdict(self.nuisances)
-        return found
 
 
 def draw_set(
@@ -98,7 +78,6 @@ def draw_set(
     design: Design = "bumper",
     noise: tuple[str, float] | None = None,
     nuisances: Nuisances | None = None,
-    twists: bool = False,
     pair: Pair | None = None,
 ) -> HiddenSet:
     """Draw a set with hidden effects.
@@ -112,7 +91,6 @@ def draw_set(
             compliant mount) | held (latched).
         noise: kind and strength of `NOISE_KINDS` instead of the white noise. nuisances: of the
             facility's computation.
-        twists: whether the logs contain velocities too.
         pair: for kind alike, the pair of `LOOK_ALIKES`, the first of which is hidden; None: a
             random pair in random order.
 
@@ -121,7 +99,6 @@ def draw_set(
     """
     _known(names, design, noise, pair)
     how = nuisances or AS_TODAY
-    rival = None
     for attempt in range(FACILITIES):
         chosen = names or _names(rng, kind, design, pair)
         facility = (
@@ -131,8 +108,7 @@ def draw_set(
         )
         if kind == "alike":
             both = draw_look_alike(rng, _ordered(chosen), facility, scale)
-            hidden, rival = both if both[0]["kind"] == chosen[0] else both[::-1]
-            effects = [hidden]
+            effects = [e for e in both if e["kind"] == chosen[0]]
         else:
             effects = draw_effects(rng, chosen, facility, scale)
         variants = draw_variants(rng)
@@ -140,7 +116,7 @@ def draw_set(
         if scale == 1.0 and attempt < STRONG_ENOUGH and any(s < least_strength for s in strengths):
             continue
         rigs = [rig_of(facility, i, effects, variants, how) for i in range(len(facility.runs))]
-        runs, logs = record(rng, facility, rigs, how, noise, twists)
+        runs, logs = record(rng, facility, rigs, how, noise)
         if stable(facility, runs):
             return HiddenSet(
                 kind,
@@ -148,12 +124,10 @@ def draw_set(
                 effects,
                 [link_of(e["kind"]) for e in effects],
                 [round(s, 3) for s in strengths],
-                variants,
                 runs,
                 logs,
                 noise,
                 how,
-                rival,
             )
     raise RuntimeError(f"no stable set with {names or kind} at scale {scale} in {FACILITIES} draws")
 
