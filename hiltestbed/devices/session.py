@@ -251,7 +251,7 @@ class Session:
             while self.loop.k < self.scenario.ticks and self.loop.alive[0]:
                 self.loop.step(self.trace)
                 if self.recorder is not None:
-                    self.recorder.push(self.loop.k - 1)
+                    self.recorder.push_tick(self.loop.k - 1)
         finally:
             self.wall = time.perf_counter() - began
 
