@@ -32,8 +32,7 @@ from hiltestbed.devices.interface import (
     SensorClient,
     SensorServer,
 )
-from hiltestbed.devices.numbered import NumberedClient, NumberedServer
-from hiltestbed.devices.sequence import Sequence
+from hiltestbed.devices.sequence import NumberedClient, NumberedServer, Sequence
 from hiltestbed.devices.url import PacedSettings, refused
 from hiltestbed.errors import InputError
 

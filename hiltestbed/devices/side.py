@@ -21,9 +21,8 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.phases import Phases
 from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.mounting import Mounting
-from hiltestbed.devices.pace import Pace
+from hiltestbed.devices.pace import SECOND, Pace, Timekeeper, WallClock
 from hiltestbed.devices.section import MotionLimits
-from hiltestbed.devices.timekeeping import Timekeeper, WallClock
 from hiltestbed.devices.watch import CommunicationWatch
 from hiltestbed.devices.watchdog import Watchdog
 from hiltestbed.errors import InputError
@@ -36,7 +35,6 @@ LEAST_FORCE = 0.5  # [N] the same threshold if the scenario has no noise
 # of the scenario's limits: readings before the tare contain the weight of a tool, and a platform
 # may stand away from the rig; a value beyond this multiple is not physical
 HEADROOM = 10.0
-NANOSECOND = 1e-9
 DRAINS = 100  # polls, each of up to LONGEST_DRAIN datagrams: several seconds of any sensor
 
 
@@ -129,13 +127,13 @@ class CycleLog:
         now = time.monotonic_ns()
         self.k += 1
         if self.k < len(self.rows):
-            self.rows[self.k] = (now - self.began) * NANOSECOND, 0.0, age, ticks - 1
+            self.rows[self.k] = (now - self.began) / SECOND, 0.0, age, ticks - 1
         self.began = now
 
     def sent(self) -> None:
         """Record that the command has been sent."""
         if self.k < len(self.rows):
-            self.rows[self.k, 1] = (time.monotonic_ns() - self.began) * NANOSECOND
+            self.rows[self.k, 1] = (time.monotonic_ns() - self.began) / SECOND
 
 
 class DeviceRig:
