@@ -30,9 +30,19 @@ import numpy as np
 
 from hiltestbed.frames import Array, quat_from_attitude_deg, rotation_matrix
 from hiltestbed.measured.noise import white_noise
+from hiltestbed.measured.ratio import (
+    AGREE,
+    CLEAR,
+    EXPLAINED,
+    OTHER_UNIT,
+    REMAINDER,
+    factor_text,
+    likely_scale,
+    scale_fix,
+)
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark, error
-from hiltestbed.measured.start import AGREE, Start, factor_text, likely_scale, scale_fix, start_of
+from hiltestbed.measured.start import Start, start_of
 from hiltestbed.measured.survey import Survey
 from hiltestbed.numerical_model.bodies import inertia_matrix, port_pose
 from hiltestbed.scenario import Scenario
@@ -43,7 +53,6 @@ FORCES = ("fx", "fy", "fz")
 # part of the rows that may be missing: an impulse that was not logged cannot be integrated
 GAP_LIMIT = 0.02
 BETTER = 0.02  # part of the motion that another order or other signs must explain in addition
-CLEAR = 50.0  # least motion that the force causes, in units of the pose's noise
 # [s] largest shift between force and motion that is searched: beyond the delays of such loops
 LATEST = 0.05
 ROUNDS = 20  # of the search for the shift, which takes less than ten to settle within SETTLED
@@ -51,15 +60,6 @@ SETTLED = 1e-3  # of a tick
 # least part of L W that differs from the motion and its rate; of an oscillation L W is proportional
 # to D, and b stays 0
 APART = 0.1
-# factor from 1 that no effect causes: the largest over the independent rig's effects is 1.25
-SCALE = 2.2
-# part of the motion that a force with its axes as given must explain; otherwise other orders of
-# axes are tried
-EXPLAINED = 0.85
-# largest remainder with another order, as part of that in the given order; the least over the rig's
-# hidden effects is 0.29
-REMAINDER = 0.1
-AXIS_REVERSED = -0.5  # of the common scale: below it the sign of one axis is reversed
 
 
 @dataclass(frozen=True)
@@ -323,7 +323,7 @@ def imbalances(
     """Errors for a force that cannot have caused the recorded motion."""
     for pair in pairs.values():
         left, left_in_order = 1.0 - pair.explained, 1.0 - pair.explained_in_order
-        otherwise = pair.explained < EXPLAINED and left_in_order < REMAINDER * left
+        otherwise = left_in_order < REMAINDER * left
         if otherwise and pair.order != FORCES:
             yield _exchanged(record, pair)
         elif otherwise and -1 in pair.signs:
@@ -368,16 +368,7 @@ def _scaled(record: Record, found: Survey, scenario: Scenario, pair: Momentum) -
         )
         for name in moving:
             yield error("sign", record.run, name, text, scale_fix(name, -1.0))
-    for axis, s in pair.axes.items():
-        # beyond -SCALE the motion has another cause than this force
-        if scale > 0 and -SCALE * scale < s < AXIS_REVERSED * scale:
-            name = f"{pair.force}.f{axis}"
-            text = (
-                f"pushes {pair.pose}.p{axis} the wrong way ({s:.3g} times what it "
-                f"causes, all axes {scale:.3g}): its sign is reversed"
-            )
-            yield error("sign", record.run, name, text, scale_fix(name, -1.0))
-    if 1 / SCALE < size < SCALE or at_fault:
+    if 1 / OTHER_UNIT < size < OTHER_UNIT or at_fault:
         return
     text = (
         f"mass times the change of velocity in {pair.pose} is {size:.4g} times the "

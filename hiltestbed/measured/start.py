@@ -12,22 +12,21 @@ import numpy as np
 
 from hiltestbed.frames import Array
 from hiltestbed.measured.noise import FREE_MINIMUM
+from hiltestbed.measured.ratio import (
+    AGREE,
+    CLEAR,
+    OTHER_UNIT,
+    REVERSED,
+    UNIT_FACTOR,
+    factor_text,
+    likely_scale,
+    scale_fix,
+)
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark, error
 from hiltestbed.measured.survey import Survey
-from hiltestbed.measured.units import likely_unit
 from hiltestbed.scenario import Scenario
 
-# a larger ratio means another unit, even if only one of start and travel differs significantly from
-# zero
-UNIT_FACTOR = 100.0
-# the same if both agree on it; the smallest factor between two units of length is 2.54
-OTHER_UNIT = 2.2
-AGREE = 1.3  # factor within which two ratios agree
-CLEAR = 50.0  # sigma, above which a start position or a travel differs significantly from zero
-# ratio to the expected value, of start and travel, below which the sign is reversed
-REVERSED = -0.3
-REVERSED_ALONE = -0.7  # the same if only one of them differs significantly from zero
 # relative deviation of the initial speed of a command from the scenario's, above which it is an
 # error
 OTHER_SPEED = 0.05
@@ -78,8 +77,7 @@ class Start:
 
     @property
     def reversed(self) -> bool:
-        least = REVERSED if len(self.ratios) > 1 else REVERSED_ALONE
-        return bool(self.ratios) and all(r < least for r in self.ratios)
+        return bool(self.ratios) and all(r < REVERSED for r in self.ratios)
 
 
 def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> Start | None:
@@ -172,30 +170,3 @@ def _another(record: Record, name: str, start: Start) -> Iterator[Remark]:
         if gap > 0.0 and commanded:
             fix = f"set in the entry of the run: set: {{approach.gap: {gap:.4g}}}; or, {fix}"
         yield error("start", record.run, name, text, fix)
-
-
-def scale_fix(channel: str, scale: float) -> str:
-    """The entry of the channel map that would correct a channel, on top of a scale of its own."""
-    return (
-        f"if so, multiply its scale by {scale:.8g}: channels: {{{channel}: {{scale: {scale:.8g}}}}}"
-    )
-
-
-def factor_text(size: float, si: str) -> str:
-    """Text on numbers ``size`` times those in SI units: the unit that they may be in."""
-    unit = likely_unit(si, 1.0 / size, 0.03) or likely_unit(si, 1.0 / size, AGREE - 1.0)
-    power = round(math.log10(size))
-    about = f"{size:.3g}" if abs(math.log10(size) - power) > 0.05 else f"{10.0**power:g}"
-    return f"off by about {about}, as if in another unit" + (f" ({unit[0]}?)" if unit else "")
-
-
-def likely_scale(size: float, si: str) -> float:
-    """Factor that converts numbers ``size`` times those in SI: a unit's, 10^n, or 1/size."""
-    unit = likely_unit(si, 1.0 / size, 0.03)
-    power = round(math.log10(size))
-    if unit is not None:
-        return unit[1]
-    if abs(math.log10(size) - power) < 0.15:
-        return 10.0**-power
-    rough = likely_unit(si, 1.0 / size, AGREE - 1.0)
-    return rough[1] if rough else float(f"{1.0 / size:.3g}")
