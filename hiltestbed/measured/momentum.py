@@ -49,7 +49,6 @@ PLACES = ("px", "py", "pz")
 FORCES = ("fx", "fy", "fz")
 # part of the rows that may be missing: an impulse that was not logged cannot be integrated
 GAP_LIMIT = 0.02
-BETTER = 0.02  # part of the motion that another order or other signs must explain in addition
 
 
 @dataclass(frozen=True)
@@ -147,13 +146,13 @@ class _Fits:
         return s, 1.0 - float(rest) / self._square
 
     def best(self, explained: float) -> tuple[tuple[str, ...], tuple[int, ...], float]:
-        """The order and signs that explain the motion best (the given ones, which have
-        ``explained`` it, unless others are clearly better), and the explained part.
+        """The order and signs that explain the motion best, and the explained part; the given ones
+        have ``explained`` it.
         """
         found: tuple[tuple[str, ...], tuple[int, ...], float] = (FORCES, (1, 1, 1), explained)
         for order, signs in product(permutations(FORCES), product((1, -1), repeat=3)):
             s, part = self.fit(order, signs)
-            if s > 0 and part > found[2] + BETTER:
+            if s > 0 and part > found[2]:
                 found = order, signs, part
         return found
 

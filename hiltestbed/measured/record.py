@@ -29,6 +29,9 @@ MAX_ROUNDED = 0.75
 # touch the acceleration steps by c v/mu, and the spline is off by at most that times the square of
 # the gap over 16: 3e-8 m for 300 N s/m, 0.03 m/s, 400 kg and 5 samples of 1 kHz
 MAX_BRIDGED = 5
+# rows by which a channel may be off: loggers stamp each up to a row early or late, of two channels
+# two in all, and what is measured of it is right to a quarter
+LOGGER = 2.25
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
 

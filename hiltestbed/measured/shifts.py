@@ -28,7 +28,7 @@ from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array
 from hiltestbed.measured.noise import MAD_TO_SIGMA, OUTLIER_SIGMA
 from hiltestbed.measured.ratio import CLEAR, REMAINDER, correlation
-from hiltestbed.measured.record import Record
+from hiltestbed.measured.record import LOGGER, Record
 from hiltestbed.measured.remark import Remark, error
 from hiltestbed.measured.survey import Survey
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
@@ -48,8 +48,6 @@ from hiltestbed.signals import GROUPS
 
 FURTHEST = 40  # largest shift that is searched [rows]
 ECHO = 0.3  # correlation of the noise of two forces, above which it is the same noise
-# rows; smaller shifts give a note: loggers stamp each channel up to a row early or late
-LOGGER = 2.25
 LEAD_LIMIT = 0.5  # [rows] least lead over the earliest possible response of a platform that counts
 # rows; pose and force are smoothed in the same way, so that the fitted contact is consistent
 SMOOTHING = 11

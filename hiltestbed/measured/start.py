@@ -22,7 +22,7 @@ from hiltestbed.measured.ratio import (
     likely_scale,
     scale_fix,
 )
-from hiltestbed.measured.record import Record
+from hiltestbed.measured.record import LOGGER, Record
 from hiltestbed.measured.remark import Remark, error
 from hiltestbed.measured.survey import Survey
 from hiltestbed.scenario import Scenario
@@ -32,7 +32,6 @@ from hiltestbed.scenario import Scenario
 OTHER_SPEED = 0.05
 # the same for the initial position, per gap; a platform has lag and scale errors
 OTHER_PLACE = {"pose_cmd.pz": 0.05, "pose_act.pz": 0.5}
-STAMPS = 2.5  # rows by which a channel may be stamped early or late
 UNTOUCHED = 0.7  # of the way to the nominal first touch: a cone is touched before that
 
 
@@ -155,7 +154,7 @@ def _another(record: Record, name: str, start: Start) -> Iterator[Remark]:
     """Errors for another approach than the scenario's, which would be blamed on a link."""
     speed, place = start.velocity, start.expected_begin
     commanded = name == "pose_cmd.pz"
-    stamped = STAMPS * abs(speed) * float(record.t[1])
+    stamped = LOGGER * abs(speed) * float(record.t[1])
     if commanded and abs(start.rate - speed) > OTHER_SPEED * abs(speed) + CLEAR * start.rate_sd:
         text = f"begins at {start.rate:.4g} m/s; the scenario approaches at {speed:.4g} m/s"
         given = f"{{approach.velocity.2: {start.rate:.4g}}}"

@@ -215,8 +215,10 @@ def _judged(
     low, high = float(rest.min()), float(rest.max())
     away = max(low - value, value - high)
     if away <= 0.0:  # within the range of the others
-        # jumps as large are part of a column that a converter or a controller moves in steps
-        usual = float(np.quantile(np.abs(np.diff(rest)), 1.0 - CHANCE)) if len(rest) > 1 else 0.0
+        # jumps as large are part of a column that a converter or a controller moves in steps; the
+        # smaller one of two is rarer than half of the chance
+        rare = 1.0 - 0.5 * CHANCE
+        usual = float(np.quantile(np.abs(np.diff(rest)), rare)) if len(rest) > 1 else 0.0
         runs = [(a, b) for a, b in runs if b - a <= AROUND and _least_jump(x, a, b) > usual]
     elif len(rest) < 0.5 * len(x):
         return
