@@ -25,7 +25,7 @@ from itertools import permutations, product
 
 import numpy as np
 
-from hiltestbed.frames import Array, quat_from_attitude_deg, rotation_matrix
+from hiltestbed.frames import Array
 from hiltestbed.measured.noise import white_noise
 from hiltestbed.measured.ratio import (
     AGREE,
@@ -41,7 +41,7 @@ from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark, error
 from hiltestbed.measured.start import Start, start_of
 from hiltestbed.measured.survey import Survey
-from hiltestbed.numerical_model.bodies import inertia_matrix, port_pose
+from hiltestbed.numerical_model.bodies import mobility
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
 
@@ -101,7 +101,7 @@ def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momen
     given = _columns(record, wrench)[:, rows]
     if not given.any():
         return None
-    fits = _Fits(t, mobility(scenario), given, motion, scenario.tick)
+    fits = _Fits(t, -mobility(scenario)[:3], given, motion, scenario.tick)
     scale, explained = fits.fit(FORCES, (1, 1, 1))
     order, signs, best = fits.best(explained)
     large = moved & (np.sum(motion**2, axis=1) > 0.05 * np.sum(motion**2))
@@ -117,7 +117,9 @@ class _Fits:
     def __init__(
         self, t: Array, response: Array, wrench: Array, motion: Array, tick: float
     ) -> None:
-        """``motion`` (3, rows), without its linear trend; ``response`` of :func:`mobility`."""
+        """``motion`` (3, rows): without its linear trend. ``response`` (3, 6): acceleration of A
+        in P per wrench of A on P.
+        """
         doubled = _twice(t, wrench, tick)
         # by column j of the force acting along axis i, at 3 i + j; by the torques last
         driven = [response[:, i, None] * doubled[j] for i in range(3) for j in range(3)]
@@ -155,23 +157,6 @@ class _Fits:
             if s > 0 and part > found[2]:
                 found = order, signs, part
         return found
-
-
-def mobility(scenario: Scenario) -> Array:
-    """``(3, 6)`` [1/kg, 1/(kg m)] acceleration of A relative to P, in P, by a unit wrench of A on
-    P, at the start attitude.
-    """
-    turned = rotation_matrix(quat_from_attitude_deg(scenario.approach.attitude_deg))
-    craft, total = scenario.spacecraft, np.zeros((3, 6))
-    for body, port_in_p in ((craft.chaser, turned), (craft.target, np.eye(3))):
-        port = port_pose(body)
-        to_body = rotation_matrix(port[3:]) @ port_in_p.T
-        r, inertia = port[:3], inertia_matrix(body.inertia)
-        lever = np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
-        turn = np.linalg.inv(inertia) @ np.hstack([lever, np.eye(3)])
-        at_port = np.hstack([np.eye(3) / body.mass, np.zeros((3, 3))]) - lever @ turn
-        total -= to_body.T @ at_port @ np.kron(np.eye(2), to_body)
-    return total
 
 
 def centred(scenario: Scenario) -> bool:
