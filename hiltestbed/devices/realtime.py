@@ -74,7 +74,7 @@ class Companion:
     def __init__(self, module: str, *arguments: object, **options: Any) -> None:
         """``options`` of Popen."""
         # a session of its own: Ctrl-C in the loop's terminal must reach only the loop
-        self._process = subprocess.Popen(
+        self._process: subprocess.Popen[bytes] = subprocess.Popen(
             [sys.executable, "-m", f"hiltestbed.devices.{module}", *map(str, arguments)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

@@ -37,7 +37,6 @@ from hiltestbed.scenario import Scenario, dump_scenario, resolved, scenario_from
 from hiltestbed.sensor.effects import SensorRotation
 from hiltestbed.signals import AXES, RunTrace
 
-FORCE = 100.0  # [N] of a press
 # relative difference of misfit within which two fits with equally many numbers are equivalent
 # (decides only the axes named)
 ALIKE = 1e-3
@@ -73,7 +72,7 @@ class Commissioned:
 def commission(
     scenario: Scenario,
     options: Options,
-    force: float = FORCE,
+    force: float = 100.0,
     progress: Progress = lambda step: None,
 ) -> Commissioned:
     """Measure the devices of ``scenario`` with presses of about ``force`` [N].
