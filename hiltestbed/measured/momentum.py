@@ -274,9 +274,9 @@ def _scaled(record: Record, found: Survey, scenario: Scenario, pair: Momentum) -
 
 def _pose_at_fault(pair: Momentum, start: Start | None) -> bool:
     """Whether the start of the pose shows the same factor or sign: then its unit is wrong."""
-    if start is None or not start.ratios:
+    if start is None:
         return False
-    off = start.unit if start.unit is not None else 1.0
+    off = start.unit or 1.0
     apart = abs(math.log(off) - math.log(max(abs(pair.scale), 1e-300)))
     same_size = off != 1.0 and apart < math.log(AGREE) * 2
     return same_size or (pair.scale < 0 and start.reversed)

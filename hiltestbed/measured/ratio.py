@@ -25,13 +25,16 @@ EXPLAINED = 0.85  # part of a signal's square, at least, that what is said to ca
 REMAINDER = 0.1
 
 
-def share(made: Array, shown: Array) -> float:
-    """Ratio of ``shown`` (rows,) to ``made`` (rows,); 0 if ``made`` does not explain it."""
+def share(made: Array, shown: Array, moved: Array | None = None) -> float:
+    """Ratio of ``shown`` (rows,) to ``made`` (rows,); 0 if ``made`` does not explain it, or the
+    part ``moved`` (rows,) of it.
+    """
     known = np.isfinite(made) & np.isfinite(shown)
     m, s = made[known], shown[known]
     size = float(m @ m)
     ratio = float(m @ s) / size if size > 0.0 else 0.0
-    return ratio if float(np.sum((s - ratio * m) ** 2)) < (1.0 - EXPLAINED) * float(s @ s) else 0.0
+    square = s @ s if moved is None else moved @ moved
+    return ratio if np.sum((s - ratio * m) ** 2) < (1.0 - EXPLAINED) * square else 0.0
 
 
 def correlation(a: Array, b: Array) -> float:

@@ -13,14 +13,13 @@ import numpy as np
 from hiltestbed.frames import Array
 from hiltestbed.measured.noise import FREE_MINIMUM
 from hiltestbed.measured.ratio import (
-    AGREE,
     CLEAR,
     OTHER_UNIT,
     REVERSED,
-    UNIT_FACTOR,
     factor_text,
     likely_scale,
     scale_fix,
+    share,
 )
 from hiltestbed.measured.record import LOGGER, Record
 from hiltestbed.measured.remark import Remark, error
@@ -40,17 +39,16 @@ class Start:
     """One translation of one run at its start.
 
     Attributes:
-        begin: [m], travel: [m] before the first touch. place, speed: ratios to the scenario's
-            values, None if not significant.
-        expected_begin, expected_travel: [m]; velocity: [m/s], of the scenario. rate: [m/s] at the
-            first row, by a parabola through the free flight, since a spurious force reading makes
-            it accelerate; rate_sd: [m/s] of it. gap: [m] of the scenario.
+        begin: [m], travel: [m] before the first touch; expected_begin, expected_travel: [m] of the
+            scenario. ratio: of the path to the scenario's; 0 if it is not proportional to that.
+        velocity: [m/s] of the scenario. rate: [m/s] at the first row, by a parabola through the
+            free flight, since a spurious force reading makes it accelerate; rate_sd: [m/s] of it.
+            gap: [m] of the scenario.
     """
 
     begin: float
     travel: float
-    place: float | None
-    speed: float | None
+    ratio: float
     expected_begin: float
     expected_travel: float
     velocity: float
@@ -59,24 +57,14 @@ class Start:
     gap: float
 
     @property
-    def ratios(self) -> list[float]:
-        return [r for r in (self.place, self.speed) if r is not None]
-
-    @property
     def unit(self) -> float | None:
         """Ratio of the numbers to those in metres; None if they appear to be in metres."""
-        sizes = [abs(r) for r in self.ratios]
-        if not sizes or any(size == 0.0 for size in sizes):
-            return None
-        agree = len(sizes) > 1 and max(sizes) < AGREE * min(sizes)
-        least = OTHER_UNIT if agree else UNIT_FACTOR
-        alike = agree or all(s > 1 for s in sizes) or all(s < 1 for s in sizes)
-        off = all(size > least or size < 1.0 / least for size in sizes)
-        return math.exp(sum(map(math.log, sizes)) / len(sizes)) if off and alike else None
+        size = abs(self.ratio)
+        return None if not size or 1.0 / OTHER_UNIT < size < OTHER_UNIT else size
 
     @property
     def reversed(self) -> bool:
-        return bool(self.ratios) and all(r < REVERSED for r in self.ratios)
+        return self.ratio < REVERSED
 
 
 def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> Start | None:
@@ -92,20 +80,18 @@ def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> St
         return None
     t, values = record.t[known], values[known]
     begin, end = float(np.median(values[:3])), float(np.median(values[-3:]))
-    travel, expected = end - begin, velocity * float(t[-1] - t[0])
-    # a command is reached a tick later; the median of three rows is where the second is
+    # a command is reached a tick later
     reached = float(record.t[1]) if name.startswith("pose_cmd") else 0.0
-    begin_at = (*approach.offset, -approach.gap)[axis] + velocity * (float(t[1]) + reached)
-
-    def ratio(measured: float, given: float) -> float | None:
-        clear = abs(given) > 1e-6 and max(abs(measured), abs(given)) > CLEAR * sigma
-        return measured / given if clear else None
-
-    places = ratio(begin, begin_at), ratio(travel, expected), begin_at, expected
+    path = (*approach.offset, -approach.gap)[axis] + velocity * (t + reached)
+    moved = values - values.mean() if velocity else values
+    clear = np.sqrt(np.mean(moved**2)) > CLEAR * sigma and np.abs(path).max() > 1e-6
+    ratio = share(path, values, moved) if clear else 0.0
+    # the median of three rows is where the second is
+    expected = float(path[1]), velocity * float(t[-1] - t[0])
     # otherwise a touch before the nominal one is possible
     free = scenario.mechanism.flat or found.contacts
     rate = _rate(t, values, sigma) if free else (velocity, math.inf)
-    return Start(begin, travel, *places, velocity, *rate, approach.gap)
+    return Start(begin, end - begin, ratio, *expected, velocity, *rate, approach.gap)
 
 
 def _rate(t: Array, values: Array, sigma: float) -> tuple[float, float]:
