@@ -150,15 +150,15 @@ def _driven_forces(record: Record, found: Survey, scenario: Scenario) -> Iterato
     """Remarks on forces of bodies that do not float freely: by what the contact makes along the
     recorded pose, and on wrench_comp by wrench_meas, the same force some milliseconds apart.
     """
-    name = "wrench_meas.fz" if record.has("wrench_meas.fz") else "wrench_comp.fz"
-    rigid = sides_of(scenario.mechanism).rigid
-    if record.has(name) and found.contacts and record.has("pose_act") and rigid:
-        made = believed_reading(record, scenario)[1][:, 2]
-        yield from _opposed(record, found, name, made, "the force of the believed contact")
-        yield from _other_axis(record, found, name, made)
+    known = found.contacts and record.has("pose_act") and sides_of(scenario.mechanism).rigid
+    made = believed_reading(record, scenario)[1][:, 2] if known else None
     for axis in GROUPS["wrench_comp"].parts:
-        meas, comp = f"wrench_meas.{axis}", f"wrench_comp.{axis}"
-        if record.has(meas) and record.has(comp) and _moves(record, found, meas):
+        meas, comp = names = f"wrench_meas.{axis}", f"wrench_comp.{axis}"
+        if made is not None and axis == "fz":
+            for name in filter(record.has, names):
+                yield from _opposed(record, found, name, made, "the force of the believed contact")
+                yield from _other_axis(record, found, name, made)
+        elif record.has(meas) and record.has(comp) and _moves(record, found, meas):
             yield from _opposed(record, found, comp, from_baseline(record, found, meas), meas)
 
 
@@ -177,7 +177,7 @@ def _opposed(
         return
     together, ratio = correlation(made, shown), peak / size
     if together < REVERSED:
-        text = f"is opposite to {source} (correlation {together:.2f}): the sign is reversed"
+        text = f"is opposite to {source} (correlation {together:.2f}): a sign is reversed"
         yield error("sign", run, name, text, scale_fix(name, -1.0))
     if not 1 / UNIT_FACTOR < ratio < UNIT_FACTOR:
         text = f"peaks at {peak:.4g} where {source} peaks at {size:.4g}: {factor_text(ratio, 'N')}"
