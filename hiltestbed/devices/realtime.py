@@ -14,10 +14,9 @@ import os
 import select
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from typing import Any
 
 from hiltestbed.errors import InputError
 
@@ -71,16 +70,16 @@ class Companion:
     it. What it prints says how far it is.
     """
 
-    def __init__(self, module: str, *arguments: object, **options: Any) -> None:
-        """``options`` of Popen."""
+    def __init__(self, module: str, *arguments: object, pass_fds: Sequence[int] = ()) -> None:
+        """``pass_fds``: files that it shares, by their numbers."""
         # a session of its own: Ctrl-C in the loop's terminal must reach only the loop
-        self._process: subprocess.Popen[bytes] = subprocess.Popen(
+        self._process = subprocess.Popen(
             [sys.executable, "-m", f"hiltestbed.devices.{module}", *map(str, arguments)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,
             start_new_session=True,
-            **options,
+            pass_fds=pass_fds,
         )
         stdin, stdout = self._process.stdin, self._process.stdout
         assert stdin
@@ -108,7 +107,7 @@ class Companion:
             self._said += os.read(self._out, 64)
         return word in self._said
 
-    def end(self, rest: bytes | bytearray = b"") -> int:
+    def end(self, rest: bytes = b"") -> int:
         """Send the ``rest`` and end its input; the status with which it ends, or is killed if it
         does not. May be called twice.
         """

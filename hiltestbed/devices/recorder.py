@@ -45,7 +45,7 @@ class Recorder:
 
     def finish(self) -> None:
         """End the recording; HiltestbedError if the file does not hold all rows."""
-        status = self._process.end(self._unsent)
+        status = self._process.end(bytes(self._unsent))
         if status != 0:
             raise HiltestbedError(
                 f"{self.path}: the process that records has failed (status {status}); the file "
