@@ -148,11 +148,12 @@ class _Fits:
         return s, 1.0 - float(rest) / self._square
 
     def best(self, explained: float) -> tuple[tuple[str, ...], tuple[int, ...], float]:
-        """The order and signs that explain the motion best, and the explained part; the given ones
-        have ``explained`` it.
+        """The order and signs that explain the motion best, and the explained part. The given ones
+        have ``explained`` it; where that is enough, the order is not in question.
         """
         found: tuple[tuple[str, ...], tuple[int, ...], float] = (FORCES, (1, 1, 1), explained)
-        for order, signs in product(permutations(FORCES), product((1, -1), repeat=3)):
+        orders = permutations(FORCES) if explained < EXPLAINED else [FORCES]
+        for order, signs in product(orders, product((1, -1), repeat=3)):
             s, part = self.fit(order, signs)
             if s > 0 and part > found[2]:
                 found = order, signs, part
