@@ -9,8 +9,8 @@ same number of rows.
 
 With a late platform the contact is late as well: the force agrees in time with the recorded pose.
 If the pose was stamped late, the force precedes it, which nothing between contact and sensor can
-cause. A late sensor delays the reaction of the loop. If the force was stamped late, the loop reacts
-before the recorded force: free-floating bodies have moved by then.
+cause. Of a force that was stamped late, to which the loop reacts before it is on record, the
+diagnosis has a cause of its own.
 """
 
 from __future__ import annotations
