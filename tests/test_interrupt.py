@@ -123,18 +123,19 @@ def test_ctrl_c_while_the_program_is_being_loaded_ends_it_in_a_word(order: tuple
 
 HOLDING = """
 import os, signal, sys, time
-from hiltestbed.devices.ring import Ring
+from hiltestbed.devices.shm import make
 from hiltestbed.process import interrupt
 if __name__ == "__main__":
     interrupt.install()
     interrupt.track_shared_memory()
-    ring = Ring(3, 8)
+    name = f"hiltestbed-test-{os.getpid()}"
+    box = make(name, "shm")
     try:
         try:
-            print(ring.name, flush=True)
+            print(name, flush=True)
             time.sleep(60.0)
         finally:
-            ring.close()
+            box.close()
     except KeyboardInterrupt:
         sys.exit(3)
 """

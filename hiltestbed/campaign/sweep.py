@@ -9,7 +9,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -24,10 +24,6 @@ from hiltestbed.run_folder.folders import html_table, parquet_table, safe_name
 from hiltestbed.scenario import Scenario
 from hiltestbed.scenario.idle import idle_keys
 
-if TYPE_CHECKING:
-    pass
-
-CHUNK = 64
 CHUNK_LIMIT = 1024
 LOOKED_AT = 16  # cases of a campaign that are checked for varied keys without effect
 # cases done, cases in total, number of cases per status
@@ -74,7 +70,7 @@ def sweep(
     *,
     workers: int = 1,
     scheduler: str | None = None,
-    chunk: int = CHUNK,
+    chunk: int = 64,
     progress: Progress | None = None,
 ) -> Sweep:
     """Runs every case that `out` (left out: results/NAME) does not contain yet, then writes

@@ -9,7 +9,7 @@ the echo has not arrived by then.
 
 from __future__ import annotations
 
-import os
+import select
 import socket
 import sys
 import time
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.devices.interface import DeviceError, PlatformClient
 from hiltestbed.devices.pace import CycleClock
-from hiltestbed.devices.realtime import PATIENCE, PRIORITY, ended, ordinary, prepared, started
+from hiltestbed.devices.realtime import PATIENCE, PRIORITY, Companion, ordinary, prepared
 from hiltestbed.devices.table import platform_client, platform_server
 from hiltestbed.devices.url import LOOPBACK
 from hiltestbed.errors import InputError
@@ -157,7 +157,7 @@ class _Echo:
         url = f"udp://{LOOPBACK}:{there}"
         options = f"rate={rate:.6f}&clock=host&connect={PATIENCE:g}"
         here_url = f"{url}?peer={LOOPBACK}:{here}"
-        self._process = started("bench", here_url, os.getpid(), *([priority] if priority else []))
+        self._process = Companion("bench", here_url, *([priority] if priority else []))
         self.client = platform_client(f"{url}?listen={LOOPBACK}:{here}&{options}")
         try:
             self.client.open()
@@ -168,7 +168,7 @@ class _Echo:
     def close(self) -> None:
         self.client.stop()
         self.client.close()
-        ended(self._process)
+        self._process.end()
 
 
 def _free_ports(count: int) -> list[int]:
@@ -187,14 +187,14 @@ def main() -> int:
     """Entry point of the device's process: echoes every pose until it is stopped or its parent
     dies, at the loop's priority, since a real device does not wait for this machine's other work.
     """
-    url, parent, *priority = sys.argv[1:]
+    url, *priority = sys.argv[1:]
     ordinary()
     with (
         prepared(priority=int(priority[0]) if priority else None),
         platform_server(url) as server,
     ):
         server.publish(server.command, 0.0)
-        while server.stopped is None and os.getppid() == int(parent):
+        while server.stopped is None and not select.select([0], [], [], 0.0)[0]:
             if server.wait(0.05) or not server.commanded:
                 server.publish(server.command, time.monotonic_ns() * 1e-9)
     return 0

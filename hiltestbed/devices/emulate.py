@@ -18,13 +18,11 @@ from hiltestbed.devices.mounting import Mounting
 from hiltestbed.devices.pace import CycleClock
 from hiltestbed.devices.physical import SimulatedRig
 from hiltestbed.devices.realtime import prepared
-from hiltestbed.devices.table import find, platform_server, sensor_server
-from hiltestbed.devices.url import parse, refused
+from hiltestbed.devices.table import platform_server, sensor_server, with_rate
 from hiltestbed.devices.watch import said
 from hiltestbed.scenario import Scenario
 
-WARM_UP = 32  # ticks of a discarded rig, which compile kernels that are not compiled yet
-RATE_ERROR = 1e-6
+WARM_UP = 64  # ticks that are discarded; they compile the kernels that are not compiled yet
 
 
 @dataclass
@@ -45,8 +43,8 @@ class Emulator:
     def __init__(self, scenario: Scenario, sensor_url: str, platform_url: str) -> None:
         """Raises InputError if a URL is wrong or its rate is not the scenario's."""
         self.scenario = scenario
-        self.sensor = sensor_server(with_rate(sensor_url, scenario, "--sensor"))
-        self.platform = platform_server(with_rate(platform_url, scenario, "--platform"))
+        self.sensor = sensor_server(with_rate(sensor_url, scenario.rate, "--sensor"))
+        self.platform = platform_server(with_rate(platform_url, scenario.rate, "--platform"))
         self.mounting = Mounting(scenario.devices)
         warm = SimulatedRig(scenario)
         for _ in range(WARM_UP):
@@ -118,23 +116,3 @@ def emulate(
         ended = f"{ended}; the platform had stopped: {emulator.platform.stopped}"
     events = said(emulator.sensor), said(emulator.platform)
     return Emulated(emulator.cycles, emulator.missed, clock.skipped, ended, *events)
-
-
-def with_rate(url: str, scenario: Scenario, place: str) -> str:
-    """``url`` with the scenario's rate, if its protocol has that option and it is not given.
-
-    Raises:
-        InputError: another rate is given, or the protocol has a different period.
-    """
-    settings = find(url, place).settings
-    if "rate" in settings.model_fields and "rate=" not in url:
-        return f"{url}{'&' if '?' in url else '?'}rate={scenario.rate:g}"
-    if "period_ms" in settings.model_fields:
-        period = 1e-3 * parse(url, settings, place).period_ms  # type: ignore[attr-defined]
-        if abs(period * scenario.rate - 1.0) > RATE_ERROR:
-            message = (
-                f"is {1e3 * period:g} ms, the scenario's tick {1e3 * scenario.tick:g} "
-                f"ms; set rate to {1.0 / period:g} (--set rate=...)"
-            )
-            raise refused(f"{place} {url}", message, "period_ms")
-    return url

@@ -25,8 +25,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.devices.cosimulation import POSE, WRENCH
-from hiltestbed.devices.interface import Array
-from hiltestbed.devices.layout import UNIT_LENGTH
+from hiltestbed.devices.interface import UNIT_LENGTH, Array
 from hiltestbed.errors import HiltestbedError, InputError, MissingExtra
 
 WHOLE = 1e-6  # of a tick: largest deviation of a communication step from a whole number of ticks

@@ -34,7 +34,8 @@ LONGEST_DRAIN = 256  # datagrams processed per poll: a flood must not stall the 
 # [N], [N m] and [m] beyond which no value is physical, whatever the scenario: some hundred times
 # the range of the largest force sensors, and more than any hall
 LARGEST_LOAD, FARTHEST = 1.0e7, 1.0e3
-LARGEST_COMPONENT = 1.01  # of a quaternion, with the rounding of short number formats
+# tolerance of a quaternion's length: 32-bit numbers deviate by 1e-7, wrong bytes by more
+UNIT_LENGTH = 1e-2
 
 
 class DeviceError(HiltestbedError):
@@ -113,7 +114,7 @@ class PoseState(Sample):
 
     def __init__(self) -> None:
         self.pose: Array = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-        super().__init__(self.pose, np.repeat([FARTHEST, LARGEST_COMPONENT], [3, 4]))
+        super().__init__(self.pose, np.repeat([FARTHEST, 1.0 + UNIT_LENGTH], [3, 4]))
 
 
 class Link(ABC):

@@ -34,7 +34,7 @@ from pydantic import Field, model_validator
 from hiltestbed.config.validation import Strictly, refuse, validate
 from hiltestbed.config.yaml_source import Source, read_source
 from hiltestbed.devices import poses
-from hiltestbed.devices.interface import Array
+from hiltestbed.devices.interface import UNIT_LENGTH, Array
 
 Whole = Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"]
 Real = Literal["float32", "float64"]
@@ -45,8 +45,6 @@ CRC = dict(zip(get_args(Check), "HI", strict=True))
 FORCE = ("fx", "fy", "fz", "tx", "ty", "tz")
 POSITION, QUATERNION, ROTATION = ("px", "py", "pz"), ("qx", "qy", "qz", "qw"), ("rx", "ry", "rz")
 COUNTED = ("sequence", "status", "stop")  # sent as they are, without a scale
-# tolerance of a quaternion's length: 32-bit numbers deviate by 1e-7, wrong bytes by more
-UNIT_LENGTH = 1e-2
 LARGEST = 1472  # [byte] of a record: the payload of one Ethernet frame
 
 Name = Literal[

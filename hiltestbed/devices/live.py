@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 
+from hiltestbed.devices.emulate import WARM_UP
 from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.pace import Pace
 from hiltestbed.devices.section import Devices, MotionLimits
@@ -15,7 +16,6 @@ from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import Run
 
-TICKS = 64
 _UNWATCHED = Devices(limits=MotionLimits(**dict.fromkeys(MotionLimits.model_fields)), watchdog=None)
 
 
@@ -66,10 +66,10 @@ class _Follower(PlatformClient):
 
 
 def rehearse(scenario: Scenario) -> None:
-    """A complete run of :data:`TICKS` ticks with dummy devices, before real ones are opened:
+    """A complete run of :data:`WARM_UP` ticks with dummy devices, before real ones are opened:
     compiles all kernels that are not compiled yet.
     """
-    short = scenario.model_copy(update={"duration": TICKS / scenario.rate, "devices": _UNWATCHED})
+    short = scenario.model_copy(update={"duration": WARM_UP / scenario.rate, "devices": _UNWATCHED})
     dummies = _PushedSensor(DeviceSettings()), _Follower(DeviceSettings())
     options = Options("", "", armed=True, pace=lambda *_: Pace(), devices=dummies)
     session = Session(short, options)

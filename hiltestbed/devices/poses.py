@@ -19,7 +19,6 @@ from hiltestbed.frames import (
     rotation_vector,
 )
 
-MILLIMETRE = 1e-3  # [m]
 # [rad] longest rotation vector: two turns; controllers give at most one
 LONGEST_TURN = 4.0 * math.pi
 
@@ -27,16 +26,14 @@ LONGEST_TURN = 4.0 * math.pi
 def pose_from_kuka(frame: Array) -> Array:
     """Pose (7,) of X Y Z A B C (6,) [mm, deg]."""
     x, y, z, a, b, c = map(float, frame)
-    return np.array(
-        [x * MILLIMETRE, y * MILLIMETRE, z * MILLIMETRE, *quat_from_attitude_deg([c, b, a])]
-    )
+    return np.array([1e-3 * x, 1e-3 * y, 1e-3 * z, *quat_from_attitude_deg([c, b, a])])
 
 
 def kuka_from_pose(pose: Array) -> Array:
     """X Y Z A B C (6,) [mm, deg] of a pose (7,); at B = +-90 deg C is 0 and A is the whole
     rotation.
     """
-    position = [float(value) / MILLIMETRE for value in pose[:3]]
+    position = [float(value) / 1e-3 for value in pose[:3]]
     return np.array([*position, *attitude_deg_from_quat(pose[3:7])[::-1]])
 
 

@@ -14,8 +14,8 @@ a datagram contains several records, and the client uses the last.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable
 from dataclasses import replace
+from http.client import HTTP_PORT
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -34,6 +34,7 @@ from hiltestbed.devices.interface import (
 )
 from hiltestbed.devices.sequence import Advancing, Sequence
 from hiltestbed.devices.url import DeviceSettings, Port, refused
+from hiltestbed.measured.units import UNITS
 
 REQUEST = struct.Struct(">HHI")
 RECORD = struct.Struct(">III6i")
@@ -47,20 +48,16 @@ COUNTS = 1.0e6  # per unit, of an emulated sensor
 TRIES, PATIENCE = 10, 0.1
 
 
-def _unit(factor: Callable[[str], float | None], names: Iterable[str]) -> AfterValidator:
-    """Refuses a unit that has no ``factor``; ``names`` of those that the devices show."""
+def _unit(si: str) -> AfterValidator:
+    """Refuses what is no unit of ``si``."""
 
     def known(unit: str) -> str:
-        if factor(unit) is None:
-            said = {"got": repr(unit), "known": ", ".join(names)}
+        if rdt_page.factor(si, unit) is None:
+            said = {"got": repr(unit), "known": ", ".join(UNITS[si])}
             raise PydanticCustomError("unit", "is no unit (got {got}); allowed: {known}", said)
         return unit
 
     return AfterValidator(known)
-
-
-ForceUnit = Annotated[str, _unit(rdt_page.force_factor, rdt_page.FORCE)]
-TorqueUnit = Annotated[str, _unit(rdt_page.torque_factor, rdt_page.TORQUE)]
 
 
 class RdtSettings(DeviceSettings):
@@ -72,8 +69,8 @@ class RdtSettings(DeviceSettings):
 
     counts_per_force: Positive | None = None  # for the unit of force, and of torque
     counts_per_torque: Positive | None = None
-    force_unit: ForceUnit = "N"
-    torque_unit: TorqueUnit = "N-m"
+    force_unit: Annotated[str, _unit("N")] = "N"
+    torque_unit: Annotated[str, _unit("N m")] = "N-m"
     rate: Positive | None = None  # [Hz] of the records
     internal_rate: Positive | None = None  # [Hz] at which the sensor's own counter runs
     mode: Literal["realtime", "buffered"] = "realtime"  # one record per datagram, or several
@@ -237,7 +234,7 @@ def page_of(settings: RdtSettings, host: str) -> rdt_page.Page:
     if len(by_hand) == 2 and whole:
         page = rdt_page.Page(COUNTS, COUNTS, settings.force_unit, settings.torque_unit)
     else:
-        port = settings.http or rdt_page.HTTP_PORT
+        port = settings.http or HTTP_PORT
         page = rdt_page.fetch(host, port, settings.where, by_hand)
     own = {f"{name}_unit": getattr(settings, f"{name}_unit") for name in by_hand}
     own |= {f"counts_per_{name}": given[name] for name in by_hand}

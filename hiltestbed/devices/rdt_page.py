@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import http.client
 import math
-import re
 import socket
 import threading
 import time
@@ -20,24 +19,12 @@ from dataclasses import dataclass
 
 from hiltestbed.devices import plain_xml
 from hiltestbed.devices.interface import DeviceError
-from hiltestbed.measured.units import KILOGRAM_FORCE, UNITS
+from hiltestbed.measured.units import UNITS, unit_named
 
-FORCE = UNITS["N"] | {"klbf": UNITS["N"]["kip"], "gf": 1e-3 * KILOGRAM_FORCE}  # [N]
-# the units of torque that ATI's manual names; any other product of a force and a length is read too
-TORQUE = ("N-m", "N-mm", "kN-m", "lbf-in", "lbf-ft", "kgf-cm")
-_TORQUES = {
-    name: FORCE[force] * UNITS["m"][length]
-    for force in FORCE
-    for length in UNITS["m"]
-    # in-lbf and ft-lbf are spelt in both orders
-    for name in (force + length, *([length + force] if length in ("in", "ft") else []))
-}  # [N m]
-SEPARATOR = re.compile("[-\\s.*\u00b7\u22c5]")
 PATH = "/netftapi2.xml"
 LARGEST = 65536  # [byte]
 PATIENCE = 2.0  # [s] to wait for each part of the page
 DEADLINE = 5.0  # [s] for the whole page
-HTTP_PORT = 80
 HINT = (
     "or give counts_per_force, counts_per_torque, force_unit, torque_unit and rate, the rate of "
     "the device's records, in the URL"
@@ -46,14 +33,9 @@ HINT = (
 RATE, INTERNAL_RATE = 1000.0, 7000.0
 
 
-def force_factor(unit: str) -> float | None:
-    """A unit of force in N; None for none."""
-    return FORCE.get(unit.strip())
-
-
-def torque_factor(unit: str) -> float | None:
-    """A unit of torque in N m, a force and a length (N-m, Nm, N m); None for none."""
-    return _TORQUES.get(SEPARATOR.sub("", unit))
+def factor(si: str, unit: str) -> float | None:
+    """``unit`` in ``si`` (N or N m), however it is spelt; None if it is none of its units."""
+    return UNITS[si].get(unit_named(unit) or "")
 
 
 @dataclass(frozen=True)
@@ -71,11 +53,11 @@ class Page:
 
     @property
     def force(self) -> float:
-        return force_factor(self.force_unit) or math.nan
+        return factor("N", self.force_unit) or math.nan
 
     @property
     def torque(self) -> float:
-        return torque_factor(self.torque_unit) or math.nan
+        return factor("N m", self.torque_unit) or math.nan
 
 
 def fetch(host: str, port: int, where: str, by_hand: Collection[str] = ()) -> Page:
@@ -149,11 +131,12 @@ def understood(data: bytes, where: str, by_hand: Collection[str]) -> Page:
 
     def unit(element: str, quantity: str) -> str:
         value = text.get(element, "")
-        known, factor = (FORCE, force_factor) if quantity == "force" else (TORQUE, torque_factor)
-        if quantity not in by_hand and factor(value) is None:
+        si = "N" if quantity == "force" else "N m"
+        if quantity not in by_hand and factor(si, value) is None:
             raise DeviceError(
                 f"{where}: the configuration page gives {element} = {value!r}, which is no unit "
-                f"of {quantity}; known: {', '.join(known)}; set one of these on the device, {HINT}"
+                f"of {quantity}; known: {', '.join(UNITS[si])}; set one of these on the device, "
+                f"{HINT}"
             )
         return value
 

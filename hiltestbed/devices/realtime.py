@@ -11,12 +11,12 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import select
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from typing import Any
 
 from hiltestbed.errors import InputError
 
@@ -64,23 +64,67 @@ def ordinary() -> None:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def started(module: str, *arguments: object, **options: Any) -> subprocess.Popen[str]:
-    """A process that runs ``module`` of this package, in a session of its own: Ctrl-C in the loop's
-    terminal must reach only the loop. ``options`` of Popen.
+class Companion:
+    """A process that runs ``module`` of this package beside the loop. What the loop sends arrives
+    at its standard input, which ends when the loop ends, however it does; the loop never waits for
+    it. What it prints says how far it is.
     """
-    command = [sys.executable, "-m", f"hiltestbed.devices.{module}", *map(str, arguments)]
-    return subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, text=True, start_new_session=True, **options
-    )
+
+    def __init__(self, module: str, *arguments: object, pass_fds: Sequence[int] = ()) -> None:
+        """``pass_fds``: files that it shares, by their numbers."""
+        # a session of its own: Ctrl-C in the loop's terminal must reach only the loop
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", f"hiltestbed.devices.{module}", *map(str, arguments)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            start_new_session=True,
+            pass_fds=pass_fds,
+        )
+        stdin, stdout = self._process.stdin, self._process.stdout
+        assert stdin
+        assert stdout
+        self._in, self._out = stdin.fileno(), stdout.fileno()
+        os.set_blocking(self._in, False)
+        self._said = b""
+
+    @property
+    def running(self) -> bool:
+        return self._process.poll() is None
+
+    def send(self, data: bytes | bytearray) -> int:
+        """The number of bytes that it could take now; a message of up to 512 is taken as a whole or
+        not at all (POSIX, PIPE_BUF).
+        """
+        try:
+            return os.write(self._in, data)
+        except OSError:  # it is behind, or has ended
+            return 0
+
+    def has_said(self, word: bytes, timeout: float = 0.0) -> bool:
+        """Whether it has printed ``word``; waits up to ``timeout`` [s] for what it prints next."""
+        if word not in self._said and select.select([self._out], [], [], timeout)[0]:
+            self._said += os.read(self._out, 64)
+        return word in self._said
+
+    def end(self, rest: bytes = b"") -> int:
+        """Send the ``rest`` and end its input; the status with which it ends, or is killed if it
+        does not. May be called twice.
+        """
+        try:
+            self._process.communicate(rest, PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.communicate()
+        return self._process.returncode
 
 
-def ended(process: subprocess.Popen[str]) -> int:
-    """The status of a process that is to end by itself; it is killed if it does not."""
+def say(word: bytes) -> bool:
+    """In a companion: print ``word``; False if the loop's process is gone."""
     try:
-        return process.wait(PATIENCE)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        return process.wait()
+        return os.write(1, word) > 0
+    except BrokenPipeError:
+        return False
 
 
 def _quiet_interpreter(result: Granted, undo: ExitStack) -> None:

@@ -36,6 +36,7 @@ from pydantic import Field
 from hiltestbed.config.validation import Positive
 from hiltestbed.devices import plain_xml, poses, sockets
 from hiltestbed.devices.interface import (
+    FARTHEST,
     Array,
     DeviceError,
     Event,
@@ -47,10 +48,9 @@ from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import DeviceSettings
 from hiltestbed.frames import pose_between, pose_compose, quat_mul, quat_mul_conj
 
-MILLISECOND = 1e-3  # [s]
 LARGEST = 4096  # [byte] of a telegram
 AXES = ("X", "Y", "Z", "A", "B", "C")
-FARTHEST, LARGEST_ANGLE = 1.0e6, 1.0e3  # [mm], [deg] largest plausible values in a telegram
+LARGEST_FRAME = np.repeat([1e3 * FARTHEST, 1e3], 3)  # [mm], [deg] plausible in a telegram
 LONGEST_IPOC = 18  # digits
 
 
@@ -76,7 +76,7 @@ class RsiSettings(DeviceSettings):
 
     @property
     def period(self) -> float:
-        return self.period_ms * MILLISECOND
+        return 1e-3 * self.period_ms
 
     @property
     def absolute(self) -> bool:
@@ -142,7 +142,7 @@ def read_telegram(data: bytes, root: str, element: str) -> tuple[ElementTree.Ele
         frame = np.array([float(found.attrib[axis]) for axis in AXES])
     except (KeyError, ValueError):
         frame = np.full(6, np.nan)
-    if not (np.abs(frame) <= np.repeat([FARTHEST, LARGEST_ANGLE], 3)).all():  # false for NaN
+    if not (np.abs(frame) <= LARGEST_FRAME).all():  # false for NaN
         given = " ".join(f'{k}="{v}"' for k, v in found.attrib.items())
         raise Odd(
             f"{element} has no six plausible numbers {' '.join(AXES)} (got {given[:120]!r}); check "
@@ -235,7 +235,7 @@ class RsiClient(sockets.Datagrams, PlatformClient):
         late = plain_xml.find(message, "Delay")
         self._compare(None if late is None else _count(late.get("D")))
         pose = poses.pose_from_kuka(frame)
-        return self.state.take(pose, self.counts, ipoc, ipoc * MILLISECOND)
+        return self.state.take(pose, self.counts, ipoc, 1e-3 * ipoc)
 
     def _compare(self, delay: int | None) -> None:
         """Count the answers that the controller reports as late, beyond those known to be late."""

@@ -20,15 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.devices.emulate import with_rate
 from hiltestbed.devices.interface import DeviceError, PlatformClient, SensorClient
 from hiltestbed.devices.motion import run_down, run_up, travel
-from hiltestbed.devices.pace import SECOND, Pace, pace_of
-from hiltestbed.devices.realtime import Granted, prepared
+from hiltestbed.devices.pace import SECOND, Pace, SimulatedClock, WallClock, pace_of
+from hiltestbed.devices.realtime import PATIENCE, Granted, prepared
 from hiltestbed.devices.recorder import TraceRecorder
 from hiltestbed.devices.side import Connected, DeviceRig
-from hiltestbed.devices.table import platform_client, sensor_client, settings_of
-from hiltestbed.devices.timekeeping import SimulatedClock, WallClock
+from hiltestbed.devices.table import platform_client, sensor_client, settings_of, with_rate
 from hiltestbed.devices.watch import said
 from hiltestbed.devices.watchdog import Watchdog
 from hiltestbed.errors import HiltestbedError
@@ -50,7 +48,6 @@ from hiltestbed.simulation import (
 # cannot be told
 OBSERVED, LONGEST = 1.0, 10.0
 RETRACT_RATE = math.radians(5.0)  # [rad/s] that of the default travel; the goal is not turned
-READY = 20.0  # [s] to wait for the watchdog's process
 
 
 @dataclass
@@ -83,8 +80,8 @@ def clients(scenario: Scenario, options: Options) -> tuple[SensorClient, Platfor
         return options.devices
     sensor = options.sensor
     if not settings_of(sensor, "--sensor").device_tells_rate:
-        sensor = with_rate(sensor, scenario, "--sensor")
-    platform = with_rate(options.platform, scenario, "--platform")
+        sensor = with_rate(sensor, scenario.rate, "--sensor")
+    platform = with_rate(options.platform, scenario.rate, "--platform")
     return sensor_client(sensor), platform_client(platform)
 
 
@@ -152,7 +149,7 @@ class Session:
                 stack.callback(self.recorder.finish)
             devices.pace = self.options.pace(devices.sensor, devices.platform, self.scenario.tick)
             if self.armed and watchdog is not None:
-                url = with_rate(self.options.platform, self.scenario, "--platform")
+                url = with_rate(self.options.platform, self.scenario.rate, "--platform")
                 devices.watchdog = Watchdog(
                     url, devices.platform, watchdog.timeout, watchdog.action
                 )
@@ -176,7 +173,7 @@ class Session:
         wrench = readings.mean(axis=0)
         if tare > 0.0:
             rig.tare[:] = readings[-max(round(tare * rate), 2) :].mean(axis=0)
-        until = time.monotonic() + READY
+        until = time.monotonic() + PATIENCE
         watchdog = self.devices.watchdog
         while rig.stop is None and (
             self._now() < observed
@@ -185,7 +182,7 @@ class Session:
         ):
             self._hold()
         if watchdog is not None and not watchdog.ready() and rig.stop is None:
-            rig.stop = f"the watchdog did not start within {READY:g} s"
+            rig.stop = f"the watchdog did not start within {PATIENCE:g} s"
         refused = self._other_rate()
         if refused is not None and self.armed and rig.stop is None:
             raise DeviceError(refused)
@@ -251,7 +248,7 @@ class Session:
             while self.loop.k < self.scenario.ticks and self.loop.alive[0]:
                 self.loop.step(self.trace)
                 if self.recorder is not None:
-                    self.recorder.push(self.loop.k - 1)
+                    self.recorder.push_tick(self.loop.k - 1)
         finally:
             self.wall = time.perf_counter() - began
 

@@ -11,8 +11,10 @@ machines that reorder stores, and foreign writes.
 from __future__ import annotations
 
 import math
+import sys
 import time
 import zlib
+from multiprocessing import resource_tracker
 from multiprocessing.shared_memory import SharedMemory
 from typing import Literal
 
@@ -30,9 +32,7 @@ from hiltestbed.devices.interface import (
     SensorClient,
     SensorServer,
 )
-from hiltestbed.devices.numbered import NumberedClient, NumberedServer
-from hiltestbed.devices.ring import shared
-from hiltestbed.devices.sequence import Sequence
+from hiltestbed.devices.sequence import NumberedClient, NumberedServer, Sequence
 from hiltestbed.devices.url import PacedSettings, refused
 from hiltestbed.errors import InputError
 
@@ -118,7 +118,12 @@ def make(name: str, where: str) -> Mailbox:
 def attach(name: str) -> Mailbox | None:
     """Attach to the mailbox that the device has created; None if there is none."""
     try:
-        memory = shared(name, name in _own)
+        if sys.version_info >= (3, 13):
+            memory = SharedMemory(name, track=False)
+        else:  # where the process that attaches, too, would remove it at its exit
+            memory = SharedMemory(name)
+            if name not in _own:
+                resource_tracker.unregister(f"/{name}", "shared_memory")
     except OSError:
         return None
     if memory.size < SIZE or np.ndarray(1, np.uint64, memory.buf)[0] != MAGIC:

@@ -21,22 +21,21 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.phases import Phases
 from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.mounting import Mounting
-from hiltestbed.devices.pace import Pace
+from hiltestbed.devices.pace import SECOND, Pace, Timekeeper, WallClock
 from hiltestbed.devices.section import MotionLimits
-from hiltestbed.devices.timekeeping import Timekeeper, WallClock
 from hiltestbed.devices.watch import CommunicationWatch
 from hiltestbed.devices.watchdog import Watchdog
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, rotation_vector, twist_between
 from hiltestbed.scenario import Scenario
 from hiltestbed.supervision.monitoring import ProcessMonitor
+from hiltestbed.supervision.safety import LIMITS
 
 GATE_SIGMA = 5.0  # a force above this many standard deviations of its noise counts as contact
 LEAST_FORCE = 0.5  # [N] the same threshold if the scenario has no noise
 # of the scenario's limits: readings before the tare contain the weight of a tool, and a platform
 # may stand away from the rig; a value beyond this multiple is not physical
 HEADROOM = 10.0
-NANOSECOND = 1e-9
 DRAINS = 100  # polls, each of up to LONGEST_DRAIN datagrams: several seconds of any sensor
 
 
@@ -129,13 +128,13 @@ class CycleLog:
         now = time.monotonic_ns()
         self.k += 1
         if self.k < len(self.rows):
-            self.rows[self.k] = (now - self.began) * NANOSECOND, 0.0, age, ticks - 1
+            self.rows[self.k] = (now - self.began) / SECOND, 0.0, age, ticks - 1
         self.began = now
 
     def sent(self) -> None:
         """Record that the command has been sent."""
         if self.k < len(self.rows):
-            self.rows[self.k, 1] = (time.monotonic_ns() - self.began) * NANOSECOND
+            self.rows[self.k, 1] = (time.monotonic_ns() - self.began) / SECOND
 
 
 class DeviceRig:
@@ -167,7 +166,7 @@ class DeviceRig:
                 f"rig.platform: the bodies of {kind!r} move freely; devices are only for "
                 f"platforms that are commanded"
             )
-        tick, limits, safety = scenario.tick, scenario.devices.limits, scenario.safety
+        tick, limits = scenario.tick, scenario.devices.limits
         self.scenario, self.connected, self.tick = scenario, connected, tick
         self.mounting = Mounting(scenario.devices)
         self.guard = Guard(limits, tick)
@@ -195,8 +194,6 @@ class DeviceRig:
         self._taken = 0
         self.late_work = 0.0
         self._threshold = max(GATE_SIGMA * scenario.sensor.noise, LEAST_FORCE)
-        given = safety.force, safety.torque, safety.tracking_error, safety.energy
-        self._limits = [math.inf if limit is None else limit for limit in given]
         self.pose_act, self.twist_act = np.zeros((1, 7)), np.zeros((1, 6))
         self.pose_act[:, 6] = 1.0
         self.wrench_sub = np.zeros((1, 1, 6))
@@ -225,10 +222,16 @@ class DeviceRig:
         """Do nothing: the platform has already been brought to its start."""
 
     def passed(self, plant: DeviceRig, pose_before: Array, energy: Array) -> bool:
-        created, limit = float(energy[0]) + self.late_work, self._limits[3]
-        if self.stop is None and created > limit:
-            self.stop = f"the rig has created {created:.4g} J; safety.energy is {limit:g} J"
+        if self.stop is None:
+            self.stop = self._beyond("energy", float(energy[0]) + self.late_work)
         return self.stop is not None
+
+    def _beyond(self, name: str, value: float) -> str | None:
+        """Why to stop at a ``value`` of what ``safety`` limits; None if it is within."""
+        limit, (said, unit) = getattr(self.scenario.safety, name), LIMITS[name]
+        if limit is None or value <= limit:  # false for NaN
+            return None
+        return f"{said.format(value=value)}; safety.{name} is {limit:g} {unit}"
 
     def reason(self, i: int) -> str | None:
         return self.stop
@@ -353,21 +356,16 @@ class DeviceRig:
 
     def _overload(self) -> str | None:
         tracking, watchdog = math.dist(self.last[:3], self.pose_act[0, :3]), self.connected.watchdog
-        force, torque = _length(self.reading[0, :3]), _length(self.reading[0, 3:])
-        if not force <= self._limits[0]:
-            return f"the sensor carries {force:.4g} N; safety.force is {self._limits[0]:g} N"
-        if not torque <= self._limits[1]:
-            return f"the sensor carries {torque:.4g} N m; safety.torque is {self._limits[1]:g} N m"
-        if self.armed and tracking > self._limits[2]:
-            return (
-                f"the platform is {tracking:.4g} m from where it was commanded; "
-                f"safety.tracking_error is {self._limits[2]:g} m"
-            )
-        if self.armed and watchdog is not None and watchdog.tripped:
-            return (
-                f"the watchdog has acted: the loop was silent for more than {watchdog.timeout:g} s"
-            )
-        return None
+        stop = self._beyond("force", _length(self.reading[0, :3]))
+        stop = stop or self._beyond("torque", _length(self.reading[0, 3:]))
+        if stop is None and self.armed:
+            stop = self._beyond("tracking_error", tracking)
+            if stop is None and watchdog is not None and watchdog.tripped:
+                stop = (
+                    f"the watchdog has acted: the loop was silent for more than "
+                    f"{watchdog.timeout:g} s"
+                )
+        return stop
 
 
 def _length(vector: Array) -> float:

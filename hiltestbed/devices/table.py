@@ -72,6 +72,26 @@ def platform_server(url: str, place: str = "--platform") -> PlatformServer:
     return _made(url, place, "platform_server")
 
 
+def with_rate(url: str, rate: float, place: str) -> str:
+    """``url`` with a scenario's ``rate`` [Hz], if its protocol has that option and none is given.
+
+    Raises:
+        InputError: another rate is given, or the protocol has a different period.
+    """
+    settings = find(url, place).settings
+    if "rate" in settings.model_fields and "rate=" not in url:
+        return f"{url}{'&' if '?' in url else '?'}rate={rate:g}"
+    if "period_ms" in settings.model_fields:
+        period = 1e-3 * parse(url, settings, place).period_ms  # type: ignore[attr-defined]
+        if abs(period * rate - 1.0) > 1e-6:  # beyond the rounding of a written rate
+            message = (
+                f"is {1e3 * period:g} ms, the scenario's tick {1e3 / rate:g} "
+                f"ms; set rate to {1.0 / period:g} (--set rate=...)"
+            )
+            raise refused(f"{place} {url}", message, "period_ms")
+    return url
+
+
 def _load(scheme: str) -> Protocol:
     return _registered.get(scheme) or import_module(f"hiltestbed.devices.{scheme}").PROTOCOL
 

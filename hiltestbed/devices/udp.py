@@ -24,8 +24,7 @@ from hiltestbed.devices.interface import (
     SensorServer,
 )
 from hiltestbed.devices.layout import LARGEST, RecordKind, WireRecord, default_layout, read_layout
-from hiltestbed.devices.numbered import NumberedClient, NumberedServer
-from hiltestbed.devices.sequence import Advancing, Sequence
+from hiltestbed.devices.sequence import Advancing, NumberedClient, NumberedServer, Sequence
 from hiltestbed.devices.url import LOOPBACK, PacedSettings, refused
 
 

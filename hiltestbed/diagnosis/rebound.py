@@ -39,7 +39,7 @@ from hiltestbed.inference.conclude import TOLD_APART, Confirmed, conclude
 from hiltestbed.inference.likelihood import PosteriorFit
 from hiltestbed.inference.search import Searched
 from hiltestbed.measured import MeasuredRun
-from hiltestbed.measured.momentum import mobility
+from hiltestbed.numerical_model.bodies import mobility
 from hiltestbed.scenario import Scenario
 
 # of the approach speed, beyond which the motion on record is not that of the scenario's loop
@@ -221,7 +221,7 @@ def speed_noise(scenario: Scenario, force: float, rows: float) -> float:
     """[m/s] standard deviation of the relative speed along z after so many rows of white noise of
     the ``force`` [N] on free bodies.
     """
-    return force * abs(float(mobility(scenario)[2, 2])) * scenario.tick * math.sqrt(rows)
+    return force * float(mobility(scenario)[2, 2]) * scenario.tick * math.sqrt(rows)
 
 
 def _others(explanations: Mapping[str, Explanation], name: str) -> list[Effect]:

@@ -18,13 +18,12 @@ from pathlib import Path
 import numpy as np
 
 from hiltestbed import plugins
-from hiltestbed.config.trial import in_own_process, limit_resources
+from hiltestbed.config.trial import MEMORY, in_own_process, limit_resources
 from hiltestbed.errors import Fault, HiltestbedError, InputError, MissingExtra
 from hiltestbed.measured.columns import Columns, unreadable
 from hiltestbed.measured.data_format import FORMATS, DataFormat
 
 TIME_LIMIT = 60.0  # [s] per file, plus the same for each GB
-MEMORY = 4 << 30  # [byte] limit of a reader's address space
 COLUMNS = "columns.npz"
 ANSWER = "answer.json"
 

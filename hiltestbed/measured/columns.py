@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hiltestbed.errors import Fault, InputError
-from hiltestbed.measured.units import split_unit
+from hiltestbed.measured.units import UNITS, split_unit
 from hiltestbed.signals import GROUPS
 
 if TYPE_CHECKING:
@@ -41,7 +41,6 @@ BROKEN = (
     struct.error,
 )
 SAMPLE_LIMIT = 32_000_000  # numbers that may be loaded from one file: 256 MB
-DAY = 86400.0  # [s]
 STAMP = re.compile(
     r"(?:(\d{1,4})[-./](\d{1,2})[-./](\d{1,4})[T ]+)?"
     r"(\d{1,2}):(\d{2})(?::(\d{2}(?:[.,]\d+)?))?\s*([AaPp][Mm])?\s*(?:Z|UTC|[+-]\d{2}:?\d{2})?"
@@ -182,7 +181,9 @@ def seconds(values: np.ndarray) -> Array | None:
         first = days[key] if first is None else first
         hours = int(hour) % 12 + 12 * (half.lower() == "pm") if half else int(hour)
         of_minute = float((second or "0").replace(",", "."))
-        out.flat[row] = (days[key] - first) * DAY + hours * 3600.0 + int(minute) * 60.0 + of_minute
+        out.flat[row] = (
+            (days[key] - first) * UNITS["s"]["d"] + hours * 3600.0 + int(minute) * 60.0 + of_minute
+        )
     return out if first is not None else None
 
 

@@ -17,6 +17,7 @@ from hiltestbed.config.dataset import Dataset, LoadedDataset
 from hiltestbed.config.dataset import load_dataset as load_specification
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array
+from hiltestbed.measured.noise import FREE_MINIMUM
 from hiltestbed.measured.plausible import contradictions
 from hiltestbed.measured.reading import read_record
 from hiltestbed.measured.record import Record, place, stretches
@@ -31,7 +32,6 @@ LINKS = {
     "compensation": ("wrench_meas", "wrench_comp"),
     "dynamics": ("wrench_comp", "pose_cmd"),
 }
-FEWEST = 30  # ticks of a run, at least, to estimate a noise floor
 NEEDED = ("pose_cmd", "pose_act", "wrench_meas", "wrench_comp")
 FLAT = 4  # successive equal samples at an extreme value, at least, for clipping to be considered
 CORNER = 6.0  # quanta; the rounded top of a smooth signal gives 3, see `_is_corner`
@@ -129,14 +129,14 @@ def examine(
             faults += fault.faults
             continue
         remarks += found
-        if record is not None and record.ticks >= FEWEST:
+        if record is not None and record.ticks >= FREE_MINIMUM:
             survey, more = check_run(record, scenario)
             runs.append(MeasuredRun(record, scenario, survey, names[index]))
             remarks += more
         elif all(remark.severity != "error" for remark in found):
             text = "holds no channel with enough samples"
             if record is not None:
-                text = f"lasts {record.ticks} ticks; a run needs at least {FEWEST}"
+                text = f"lasts {record.ticks} ticks; a run needs at least {FREE_MINIMUM}"
             fix = "record the run again or take it out of the dataset"
             remarks.append(error("", index, "", text, fix))
     if faults:

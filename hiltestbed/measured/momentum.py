@@ -10,9 +10,8 @@ s is 1 if the units of mass, force and length are consistent, whatever contact, 
 compensation do. A force in pounds makes it 4.448, a reversed sign -1, and exchanged axes leave
 motion that no s explains.
 
-The bodies move by the compensated force, and the sensor's record is late against it. Delay, filters
-and leads keep the impulse, but the double integral D of the record is another: D(t - T) + b L W to
-second order, with a shift T and a spread b. s is fitted together with both.
+A delay or a filter between force and motion keeps the impulse and makes s wrong by some per cent;
+of an oscillation the cosine of its phase is left, and the sine is motion that no s explains.
 
 This checks unit, sign and axes of force and pose.
 """
@@ -20,21 +19,29 @@ This checks unit, sign and axes of force and pose.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import permutations, product
-from typing import NamedTuple
 
 import numpy as np
 
-from hiltestbed.frames import Array, quat_from_attitude_deg, rotation_matrix
+from hiltestbed.frames import Array
 from hiltestbed.measured.noise import white_noise
+from hiltestbed.measured.ratio import (
+    AGREE,
+    CLEAR,
+    EXPLAINED,
+    OTHER_UNIT,
+    REMAINDER,
+    factor_text,
+    likely_scale,
+    scale_fix,
+)
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark, error
-from hiltestbed.measured.start import AGREE, Start, factor_text, likely_scale, scale_fix, start_of
+from hiltestbed.measured.start import Start, start_of
 from hiltestbed.measured.survey import Survey
-from hiltestbed.numerical_model.bodies import inertia_matrix, port_pose
+from hiltestbed.numerical_model.bodies import mobility
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
 
@@ -42,24 +49,6 @@ PLACES = ("px", "py", "pz")
 FORCES = ("fx", "fy", "fz")
 # part of the rows that may be missing: an impulse that was not logged cannot be integrated
 GAP_LIMIT = 0.02
-BETTER = 0.02  # part of the motion that another order or other signs must explain in addition
-CLEAR = 50.0  # least motion that the force causes, in units of the pose's noise
-# [s] largest shift between force and motion that is searched: beyond the delays of such loops
-LATEST = 0.05
-ROUNDS = 20  # of the search for the shift, which takes less than ten to settle within SETTLED
-SETTLED = 1e-3  # of a tick
-# least part of L W that differs from the motion and its rate; of an oscillation L W is proportional
-# to D, and b stays 0
-APART = 0.1
-# factor from 1 that no effect causes: the largest over the independent rig's effects is 1.25
-SCALE = 2.2
-# part of the motion that a force with its axes as given must explain; otherwise other orders of
-# axes are tried
-EXPLAINED = 0.85
-# largest remainder with another order, as part of that in the given order; the least over the rig's
-# hidden effects is 0.29
-REMAINDER = 0.1
-AXIS_REVERSED = -0.5  # of the common scale: below it the sign of one axis is reversed
 
 
 @dataclass(frozen=True)
@@ -67,9 +56,7 @@ class Momentum:
     """Momentum balance of one force and one pose.
 
     Attributes:
-        force, pose: the groups. scale: s above, of all axes together; axes: axis to its own s, for
-            axes that the force clearly moves.
-        late: [s] by which the force is later in the record than the motion that it causes.
+        force, pose: the groups. scale: s above. axes: those that clearly move.
         explained: part of the motion's sum of squares that s explains. order, signs: of the force's
             axes that explain it best.
         explained_in_order: the same part with the axes in that order and with these signs, for the
@@ -79,8 +66,7 @@ class Momentum:
     force: str
     pose: str
     scale: float
-    axes: Mapping[str, float]
-    late: float
+    axes: tuple[str, ...]
     explained: float
     order: tuple[str, ...]
     signs: tuple[int, ...]
@@ -113,145 +99,65 @@ def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momen
     if not moved.any():
         return None
     given = _columns(record, wrench)[:, rows]
-    parts = _Parts.of(t, mobility(scenario), given, motion, scenario.tick)
-    if not parts.driven.any():
+    if not given.any():
         return None
-    explained = parts.fit(FORCES, (1, 1, 1)).explained
-    order, signs, best = parts.best(explained)
-    late, parts = parts.aligned(scenario.tick)
+    fits = _Fits(t, -mobility(scenario)[:3], given, motion, scenario.tick)
+    scale, explained = fits.fit(FORCES, (1, 1, 1))
+    order, signs, best = fits.best(explained)
     large = moved & (np.sum(motion**2, axis=1) > 0.05 * np.sum(motion**2))
-    axes = {a: s for j, a in enumerate("xyz") if large[j] and (s := parts.axis(j))}
-    scale = parts.fit(FORCES, (1, 1, 1)).scale
-    return Momentum(force, pose, scale, axes, late, explained, order, signs, best)
+    axes = tuple(axis for axis, far in zip("xyz", large, strict=True) if far)
+    return Momentum(force, pose, scale, axes, explained, order, signs, best)
 
 
-class _Fit(NamedTuple):
-    """s, the part of the motion's square that it explains, the weight (10,) of each motion."""
-
-    scale: float
-    explained: float
-    weights: Array
-
-
-@dataclass(frozen=True)
-class _Parts:
-    """The motions that each column of the force causes on each axis, for the fit of every order and
-    sign of the axes.
-
-    Attributes:
-        t: (rows,) [s]. driven: (10, 3, rows) motion by column j acting along axis i, at 3 i + j; by
-            the torques last.
-        motion: (3, rows) that was logged, without its linear trend. seen: driven without its own.
-        gram: (10, 10) inner products of seen with each other; shown: (10,) with the motion.
-        square: inner product of the motion with itself.
+class _Fits:
+    """Fits of the logged motion by those that each column of the force causes on each axis, for
+    every order and sign of the axes.
     """
 
-    t: Array
-    driven: Array
-    motion: Array
-    seen: Array
-
-    @classmethod
-    def of(cls, t: Array, response: Array, wrench: Array, motion: Array, tick: float) -> _Parts:
-        doubled = _twice(t, wrench, tick)
-        along = [response[:, i, None] * doubled[j] for i in range(3) for j in range(3)]
-        driven = np.stack([*along, response[:, 3:] @ doubled[3:]])
-        return cls(t, driven, motion, _without_lines(t, driven))
-
-    @cached_property
-    def gram(self) -> Array:
-        flat = self.seen.reshape(10, -1)
-        return flat @ flat.T
-
-    @cached_property
-    def shown(self) -> Array:
-        return self.seen.reshape(10, -1) @ self.motion.reshape(-1)
-
-    @cached_property
-    def square(self) -> float:
-        return float(np.sum(self.motion**2))
-
-    def aligned(self, tick: float) -> tuple[float, _Parts]:
-        """T [s], and the parts without shift and spread; unchanged if no T up to LATEST is found
-        (Gauss-Newton from 0).
+    def __init__(
+        self, t: Array, response: Array, wrench: Array, motion: Array, tick: float
+    ) -> None:
+        """``motion`` (3, rows): without its linear trend. ``response`` (3, 6): acceleration of A
+        in P per wrench of A on P.
         """
-        late, parts = 0.0, self
-        for _ in range(ROUNDS):
-            moved, spread = parts._apart(self.motion)
-            if not abs(late + moved) < LATEST:
-                break
-            late += moved
-            shifted = _shifted(self.t, self.driven, late)
-            seen = _without_lines(self.t, shifted)
-            parts = _Parts(self.t, self.driven, self.motion - spread, seen)
-            if abs(moved) < SETTLED * tick:
-                return late, parts
-        return 0.0, self
+        doubled = _twice(t, wrench, tick)
+        # by column j of the force acting along axis i, at 3 i + j; by the torques last
+        driven = [response[:, i, None] * doubled[j] for i in range(3) for j in range(3)]
+        driven.append(response[:, 3:] @ doubled[3:])
+        seen = np.stack([_without_line(t, part).reshape(-1) for part in driven])
+        self._gram, self._shown = seen @ seen.T, seen @ motion.reshape(-1)
+        self._square = float(np.sum(motion**2))
 
-    def _apart(self, motion: Array) -> tuple[float, Array]:
-        """What is left of T [s], to first order; the part of ``motion`` (3, rows) by the spread."""
-        made = np.tensordot(self.fit(FORCES, (1, 1, 1)).weights, self.seen, 1)
-        rate = np.gradient(made, self.t, axis=1)
-        parts = made, rate, np.gradient(rate, self.t, axis=1)
-        basis = np.stack([_without_line(self.t, part).reshape(-1) for part in parts], axis=1)
-        own = basis[:, 2] - basis[:, :2] @ np.linalg.lstsq(basis[:, :2], basis[:, 2], rcond=None)[0]
-        terms = 3 if own @ own > APART * (basis[:, 2] @ basis[:, 2]) else 2
-        found = np.linalg.lstsq(basis[:, :terms], motion.reshape(-1), rcond=None)[0]
-        spread = found[2] * basis[:, 2].reshape(made.shape) if terms == 3 else np.zeros_like(made)
-        return float(found[1] / found[0]) if found[0] else 0.0, spread
-
-    def fit(self, order: tuple[str, ...], signs: tuple[int, ...]) -> _Fit:
-        """The fit for one order and signs; torques scale with the force or not, as fits better."""
+    def fit(self, order: tuple[str, ...], signs: tuple[int, ...]) -> tuple[float, float]:
+        """s for one order and signs, and the part of the motion's square that it explains; torques
+        scale with the force or not, as fits better.
+        """
         force = np.zeros(10)
         for i, (name, sign) in enumerate(zip(order, signs, strict=True)):
             force[3 * i + FORCES.index(name)] = sign
         torque = np.eye(10)[9]
         tied, apart = self._fit(force + torque, np.zeros(10)), self._fit(force, torque)
-        return tied if tied.explained > apart.explained - 0.01 else apart
+        return tied if tied[1] > apart[1] - 0.01 else apart
 
-    def _fit(self, scaled: Array, fixed: Array) -> _Fit:
-        square = float(scaled @ self.gram @ scaled)
-        left = float(scaled @ (self.shown - self.gram @ fixed))
+    def _fit(self, scaled: Array, fixed: Array) -> tuple[float, float]:
+        square = float(scaled @ self._gram @ scaled)
+        left = float(scaled @ (self._shown - self._gram @ fixed))
         s = left / square if square > 0 else 0.0
         weights = s * scaled + fixed
-        rest = self.square - 2 * weights @ self.shown + weights @ self.gram @ weights
-        return _Fit(s, 1.0 - float(rest) / self.square, weights)
+        rest = self._square - 2 * weights @ self._shown + weights @ self._gram @ weights
+        return s, 1.0 - float(rest) / self._square
 
     def best(self, explained: float) -> tuple[tuple[str, ...], tuple[int, ...], float]:
-        """The order and signs that explain the motion best (the given ones, which have
-        ``explained`` it, unless others are clearly better), and the explained part.
+        """The order and signs that explain the motion best, and the explained part. The given ones
+        have ``explained`` it; where that is enough, the order is not in question.
         """
         found: tuple[tuple[str, ...], tuple[int, ...], float] = (FORCES, (1, 1, 1), explained)
-        for order, signs in product(permutations(FORCES), product((1, -1), repeat=3)):
-            s, part, _ = self.fit(order, signs)
-            if s > 0 and part > found[2] + BETTER:
+        orders = permutations(FORCES) if explained < EXPLAINED else [FORCES]
+        for order, signs in product(orders, product((1, -1), repeat=3)):
+            s, part = self.fit(order, signs)
+            if s > 0 and part > found[2]:
                 found = order, signs, part
         return found
-
-    def axis(self, j: int) -> float:
-        """The s of axis j alone, with forces in the given order; 0 if the force along it causes no
-        motion.
-        """
-        driven = sum(self.seen[4 * i][j] for i in range(3)) + self.seen[9][j]
-        square = float(np.sum(driven**2))
-        return float(np.sum(driven * self.motion[j])) / square if square > 0 else 0.0
-
-
-def mobility(scenario: Scenario) -> Array:
-    """``(3, 6)`` [1/kg, 1/(kg m)] acceleration of A relative to P, in P, by a unit wrench of A on
-    P, at the start attitude.
-    """
-    turned = rotation_matrix(quat_from_attitude_deg(scenario.approach.attitude_deg))
-    craft, total = scenario.spacecraft, np.zeros((3, 6))
-    for body, port_in_p in ((craft.chaser, turned), (craft.target, np.eye(3))):
-        port = port_pose(body)
-        to_body = rotation_matrix(port[3:]) @ port_in_p.T
-        r, inertia = port[:3], inertia_matrix(body.inertia)
-        lever = np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
-        turn = np.linalg.inv(inertia) @ np.hstack([lever, np.eye(3)])
-        at_port = np.hstack([np.eye(3) / body.mass, np.zeros((3, 3))]) - lever @ turn
-        total -= to_body.T @ at_port @ np.kron(np.eye(2), to_body)
-    return total
 
 
 def centred(scenario: Scenario) -> bool:
@@ -289,18 +195,6 @@ def _without_line(t: Array, values: Array) -> Array:
     return values - (values @ basis.T) @ basis
 
 
-def _without_lines(t: Array, driven: Array) -> Array:
-    return np.stack([_without_line(t, part) for part in driven])
-
-
-def _shifted(t: Array, driven: Array, late: float) -> Array:
-    """``driven`` ``(10, 3, rows)`` as much earlier; without force before and after the rows."""
-    at = t + late
-    rows = np.clip(np.searchsorted(t, at) - 1, 0, len(t) - 2)
-    part = (at - t[rows]) / (t[rows + 1] - t[rows])
-    return driven[..., rows] * (1.0 - part) + driven[..., rows + 1] * part
-
-
 def balances(record: Record, scenario: Scenario) -> dict[str, Momentum]:
     """The momentum balance of each force (by its group) with the pose, where it can be evaluated.
 
@@ -323,7 +217,7 @@ def imbalances(
     """Errors for a force that cannot have caused the recorded motion."""
     for pair in pairs.values():
         left, left_in_order = 1.0 - pair.explained, 1.0 - pair.explained_in_order
-        otherwise = pair.explained < EXPLAINED and left_in_order < REMAINDER * left
+        otherwise = left_in_order < REMAINDER * left
         if otherwise and pair.order != FORCES:
             yield _exchanged(record, pair)
         elif otherwise and -1 in pair.signs:
@@ -368,16 +262,7 @@ def _scaled(record: Record, found: Survey, scenario: Scenario, pair: Momentum) -
         )
         for name in moving:
             yield error("sign", record.run, name, text, scale_fix(name, -1.0))
-    for axis, s in pair.axes.items():
-        # beyond -SCALE the motion has another cause than this force
-        if scale > 0 and -SCALE * scale < s < AXIS_REVERSED * scale:
-            name = f"{pair.force}.f{axis}"
-            text = (
-                f"pushes {pair.pose}.p{axis} the wrong way ({s:.3g} times what it "
-                f"causes, all axes {scale:.3g}): its sign is reversed"
-            )
-            yield error("sign", record.run, name, text, scale_fix(name, -1.0))
-    if 1 / SCALE < size < SCALE or at_fault:
+    if 1 / OTHER_UNIT < size < OTHER_UNIT or at_fault:
         return
     text = (
         f"mass times the change of velocity in {pair.pose} is {size:.4g} times the "
@@ -390,9 +275,9 @@ def _scaled(record: Record, found: Survey, scenario: Scenario, pair: Momentum) -
 
 def _pose_at_fault(pair: Momentum, start: Start | None) -> bool:
     """Whether the start of the pose shows the same factor or sign: then its unit is wrong."""
-    if start is None or not start.ratios:
+    if start is None:
         return False
-    off = start.unit if start.unit is not None else 1.0
+    off = start.unit or 1.0
     apart = abs(math.log(off) - math.log(max(abs(pair.scale), 1e-300)))
     same_size = off != 1.0 and apart < math.log(AGREE) * 2
     return same_size or (pair.scale < 0 and start.reversed)

@@ -24,7 +24,6 @@ UNIFORM = 2.0
 ROUND_OFF = 1e-12  # of the largest value: smaller steps are those of the number format
 SPARSE = 0.7  # part of the ticks with a sample; below it the log is slower than the loop
 FEW_DIGITS = 6  # significant digits of a text file, up to which its rounding may matter
-SMALLEST = 1e-290  # smallest value whose last digit can be represented
 SAME = 1e-9  # of the range: values this close count as equal
 
 
@@ -126,7 +125,7 @@ def last_digit(size: Array, count: int) -> Array:
 def digits_of(values: Array) -> int | None:
     """Number of significant digits of ``values`` if at most :data:`FEW_DIGITS`, else None."""
     size = np.abs(values[np.isfinite(values)])
-    size = size[size > SMALLEST]
+    size = size[size > 10.0**FEW_DIGITS * np.finfo(float).tiny]  # whose last digit is a number
     if len(np.unique(size)) < 10:
         return None
     for count in range(2, FEW_DIGITS + 1):

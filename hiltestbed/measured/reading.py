@@ -44,7 +44,6 @@ BETWEEN = 1.5
 # inverse variance factor of samples that a logger has interpolated: the mean of (1 - p)^2 + p^2 is
 # 2/3
 RESAMPLED = 1.5
-MISSING_LIMIT = 0.5  # part of its samples that a channel may lack before it is left out
 TURNS = tuple(name for names in ANGLES.values() for name in names)
 CHANNELS = (*(c for group in MEASURED_GROUPS for c in GROUPS[group].columns), *TURNS)
 
@@ -210,7 +209,7 @@ def _losses(
     patterns: dict[bytes, tuple[NDArray[np.bool_], UsableRows, list[str]]] = {}
     for name, (column, clock) in channels.items():
         missing = ~np.isfinite(column[clock.rows])
-        if missing.sum() > MISSING_LIMIT * len(missing):
+        if 2 * missing.sum() > len(missing):
             lost.add(name)
         if missing.any():
             patterns.setdefault(missing.tobytes(), (missing, clock, []))[2].append(name)
@@ -222,7 +221,7 @@ def _losses(
             f"missing (NaN) in {count} of {of} samples, at most {longest} in a row "
             f"from {clock.t[start]:.6g} s"
         )
-        text += "; left out of this run" if count > MISSING_LIMIT * of else ""
+        text += "; left out of this run" if 2 * count > of else ""
         remarks.append(loss(run, ", ".join(names), text))
     return lost, remarks
 

@@ -13,7 +13,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import savgol_filter
 
 from hiltestbed.frames import Array
-from hiltestbed.measured.noise import last_digit
+from hiltestbed.measured.noise import FREE_MINIMUM, last_digit
 from hiltestbed.signals import GROUPS
 
 MEASURED_GROUPS = ("pose_cmd", "pose_act", "twist_cmd", "twist_act", "wrench_meas", "wrench_comp")
@@ -29,7 +29,9 @@ MAX_ROUNDED = 0.75
 # touch the acceleration steps by c v/mu, and the spline is off by at most that times the square of
 # the gap over 16: 3e-8 m for 300 N s/m, 0.03 m/s, 400 kg and 5 samples of 1 kHz
 MAX_BRIDGED = 5
-FOLLOWING = 20  # samples from which the speed before the first sample is estimated
+# rows by which a channel may be off: loggers stamp each up to a row early or late, of two channels
+# two in all, and what is measured of it is right to a quarter
+LOGGER = 2.25
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -157,7 +159,7 @@ class Record:
         if pose and short.any() and known.sum() > MAX_BRIDGED:
             values[short] = CubicSpline(t, samples)(self.t[short])
         if pose and j < 3 and not known[0] and len(t) > 1:  # at the speed of the first samples
-            slope = np.polyfit(t[:FOLLOWING] - t[0], samples[:FOLLOWING], 1)[0]
+            slope = np.polyfit(t[:FREE_MINIMUM] - t[0], samples[:FREE_MINIMUM], 1)[0]
             before = self.t < t[0]
             values[before] = samples[0] + slope * (self.t[before] - t[0])
         return values

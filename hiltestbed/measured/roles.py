@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiltestbed.frames import Array
-from hiltestbed.measured.plausible import correlation
+from hiltestbed.measured.ratio import correlation
 from hiltestbed.measured.units import UNITS, split_unit, unit_named
 
 # what words in a name stand for; of several, the last one counts

@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from hiltestbed.frames import Array
+from hiltestbed.measured.ratio import CLEAR
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark, error
 from hiltestbed.measured.shifts import compensated
@@ -19,7 +20,6 @@ SAME_PART = 0.99  # part of the rows with equal numbers in two channels, above w
 # distinct values that a channel must have before another one can be its copy: at rest, coarsely
 # quantised channels agree
 NUMBERS = 4
-TRAVEL = 20.0  # least range of a channel, in noise floors, for a copy of it to be significant
 MOVES = 1e-4  # [m] least motion of the other pose: encoders have steps
 DEEP = 1e-5  # [m] penetration, or deviation from uniform motion, above which a force is expected
 
@@ -74,7 +74,7 @@ def _constant_poses(record: Record, found: Survey, scenario: Scenario) -> Iterat
         for a, b in ((f"{name}.{part}", f"{other}.{part}") for part in ("px", "py", "pz")):
             if not (ranges.get(a) == 0.0 and b in ranges):
                 continue
-            if ranges[b] > max(MOVES, TRAVEL * found.noise[b].white):
+            if ranges[b] > max(MOVES, CLEAR * found.noise[b].white):
                 text = f"is {_first(record, a)} in every row while {b} moves by {ranges[b]:.3g} m"
                 fix = f"map the right column of {a}, or leave it out"
                 yield error("constant", record.run, a, text, fix)

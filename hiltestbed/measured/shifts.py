@@ -9,8 +9,8 @@ same number of rows.
 
 With a late platform the contact is late as well: the force agrees in time with the recorded pose.
 If the pose was stamped late, the force precedes it, which nothing between contact and sensor can
-cause. A late sensor delays the reaction of the loop. If the force was stamped late, the loop reacts
-before the recorded force: free-floating bodies have moved by then.
+cause. Of a force that was stamped late, to which the loop reacts before it is on record, the
+diagnosis has a cause of its own.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import correlate, savgol_filter
+from scipy.signal import savgol_filter
 
 from hiltestbed.compensation.input import InputParameters
 from hiltestbed.contact.parameters import believed_contacts, contact_rows
@@ -27,8 +27,9 @@ from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array
 from hiltestbed.measured.noise import MAD_TO_SIGMA, OUTLIER_SIGMA
-from hiltestbed.measured.record import Record
-from hiltestbed.measured.remark import Remark, error, note
+from hiltestbed.measured.ratio import CLEAR, REMAINDER, correlation
+from hiltestbed.measured.record import LOGGER, Record
+from hiltestbed.measured.remark import Remark, error
 from hiltestbed.measured.survey import Survey
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
 from hiltestbed.replay import (
@@ -46,15 +47,8 @@ from hiltestbed.sensor.parameters import SensorParameters
 from hiltestbed.signals import GROUPS
 
 FURTHEST = 40  # largest shift that is searched [rows]
-REMAINDER = 0.1  # part of the misfit that may remain once the shift is removed
-EXCHANGED = 0.02  # part of the misfit that remains if two forces are exchanged
 ECHO = 0.3  # correlation of the noise of two forces, above which it is the same noise
-# rows; smaller shifts give a note: loggers stamp each channel up to a row early or late
-LOGGER = 2.25
 LEAD_LIMIT = 0.5  # [rows] least lead over the earliest possible response of a platform that counts
-# in noise floors, over all rows together: least motion of the pose within a row, and least decrease
-# of the misfit of the force
-CLEAR = 20.0
 # rows; pose and force are smoothed in the same way, so that the fitted contact is consistent
 SMOOTHING = 11
 WRENCH = GROUPS["wrench_comp"].columns
@@ -85,24 +79,15 @@ def _out_of_order(
     record: Record, found: Survey, scenario: Scenario, given: Array | None, ahead: float | None
 ) -> Iterator[Remark]:
     """Remarks on outputs that precede their inputs, on the links with a known delay."""
-    moved, echo, tick = _model_lag(record, scenario), _echo(record, given), scenario.tick
-    if moved is not None and moved != 0 and echo == -moved:
+    moved, tick = _model_lag(record, scenario), scenario.tick
+    echo = _echo(record, given) if moved else None
+    if moved and echo == -moved:
         why = "neither follows wrench_meas nor moves pose_cmd when it should"
         yield _shifted(record, "wrench_comp", -moved, tick, why)
     elif moved is not None and moved < 0 and echo in (0, None):
         by_pose = echo == 0 or ahead is None or ahead < 0
         channel, late = ("pose_cmd", moved) if by_pose else ("wrench_comp", -moved)
         yield _shifted(record, channel, late, tick, "pose_cmd moves before wrench_comp pushes it")
-    elif moved == 0 and echo is not None and echo > 0:
-        why = f"its noise shows in wrench_comp {echo} rows later"
-        yield _shifted(record, "wrench_meas", -echo, tick, why)
-    elif moved == 0 and echo is not None and echo < 0:
-        yield _answered(record, -echo, tick, "its noise shows in wrench_comp before it")
-    elif not record.has("wrench_comp") and given is not None:
-        answered = _model_lag(record, scenario, given) or 0
-        if answered < 0:
-            why = "pose_cmd moves before the believed compensation of it pushes"
-            yield _answered(record, -answered, tick, why)
     if ahead is not None and ahead > 0:
         yield _ahead(record, ahead, moved, tick, found)
 
@@ -142,20 +127,6 @@ def _ahead(record: Record, rows: float, moved: int | None, tick: float, found: S
     return _remark(record, "pose_act", text, fix, rows)
 
 
-def _answered(record: Record, rows: int, tick: float, why: str) -> Remark:
-    """A note only: the diagnosis has an effect for a force that is late in the record alone."""
-    text = (
-        f"has its effect {rows} rows before it is in the record, since {why}: the record "
-        f"is late, not the loop"
-    )
-    fix = (
-        f"move it by {-rows * tick:.6g} s before the export; otherwise the "
-        f"diagnosis may name log.skew or a late sensor"
-    )
-    remark = note(record.run, "wrench_meas", text, fix)
-    return replace(remark, check="shift")
-
-
 def _led(record: Record, rows: int, lead: float | None, scenario: Scenario) -> Remark:
     """Remark on a force ``rows`` before the contact; the platform's ``lead`` tells which is off."""
     if lead is not None and abs(lead + rows) < 1.0:
@@ -178,16 +149,14 @@ def _rough(found: Survey, group: str) -> float:
     return max((found.noise[n].white for n in names if n in found.noise), default=0.0)
 
 
-def _model_lag(record: Record, scenario: Scenario, given: Array | None = None) -> int | None:
+def _model_lag(record: Record, scenario: Scenario) -> int | None:
     """Whole rows by which pose_cmd responds late to the force (negative: early); None if it cannot
     be determined, 0 if it fits unchanged.
-
-    given: (ticks, 6) used instead of the recorded wrench_comp.
     """
-    names = [f"pose_cmd.p{a}" for a in "xyz"] + ([] if given is not None else list(WRENCH))
+    names = [*(f"pose_cmd.p{a}" for a in "xyz"), *WRENCH]
     if not all(record.has(n) and record.measured(n).all() for n in names):
         return None
-    wrench = np.ascontiguousarray(record.data["wrench_comp"] if given is None else given)
+    wrench = np.ascontiguousarray(record.data["wrench_comp"])
     both = np.stack([wrench, np.zeros_like(wrench)])
     models = Departing([scenario] * 2, stack([DynamicsParameters()] * 2))
     poses = replay_model(models, both, np.arange(2))
@@ -233,7 +202,7 @@ def _exchanged_forces(record: Record, scenario: Scenario, given: Array | None) -
     if given is None or crossed is None:
         return False
     meas, comp = record.data["wrench_meas"], record.data["wrench_comp"]
-    return float(np.sum((crossed - meas) ** 2)) < EXCHANGED * float(np.sum((given - comp) ** 2))
+    return float(np.sum((crossed - meas) ** 2)) < REMAINDER * float(np.sum((given - comp) ** 2))
 
 
 def _echo(record: Record, given: Array | None) -> int | None:
@@ -245,9 +214,10 @@ def _echo(record: Record, given: Array | None) -> int | None:
         a, b = (_clipped_noise(values) for values in (given[:, j], record.column(name)))
         if not (a.any() and b.any()) or len(a) < 4 * FURTHEST:
             continue
-        scores = np.abs(_correlated(a[FURTHEST:-FURTHEST], b))
-        top = int(np.argmax(scores))
-        best = max(best, (float(scores[top]), top - FURTHEST), key=lambda found: found[0])
+        rows = len(a) - 2 * FURTHEST
+        parts = ((n - FURTHEST, b[n : n + rows]) for n in range(2 * FURTHEST + 1))
+        found = [(abs(correlation(a[FURTHEST:-FURTHEST], part)), lag) for lag, part in parts]
+        best = max(best, *found, key=lambda pair: pair[0])
     return best[1]
 
 
@@ -256,14 +226,6 @@ def _clipped_noise(values: Array) -> Array:
     third = np.diff(values, 3)
     most = OUTLIER_SIGMA * MAD_TO_SIGMA * np.median(np.abs(third))
     return np.clip(third, -most, most)
-
-
-def _correlated(a: Array, b: Array) -> Array:
-    """Correlation of ``a`` (n,) with each window of ``b`` (n + 2 FURTHEST,), in order."""
-    total = np.concatenate([[0.0], np.cumsum(b * b)])
-    size = np.sqrt((a @ a) * (total[len(a) :] - total[: -len(a)]))
-    product = correlate(b, a, mode="valid", method="fft")
-    return np.divide(product, size, out=np.zeros_like(product), where=size > 0.0)
 
 
 def _platform_lead(record: Record, found: Survey, scenario: Scenario) -> float | None:
@@ -309,7 +271,7 @@ def force_leads(record: Record, found: Survey, scenario: Scenario) -> int:
         return 0
     if not sides_of(scenario.mechanism).rigid or record.ticks < 4 * FURTHEST:
         return 0
-    spring, both = _felt(record, scenario)
+    spring, both = believed_reading(record, scenario)
     parts = [i for i, part in enumerate(("fx", "fy", "fz")) if record.has(f"wrench_meas.{part}")]
     shown = _smooth(np.nan_to_num(record.data["wrench_meas"][:, parts]))
     shown = shown - np.median(shown[: max(found.free, 1)], axis=0)
@@ -329,7 +291,7 @@ def _smooth(values: Array) -> Array:
     return np.asarray(savgol_filter(values, SMOOTHING, 2, axis=0))
 
 
-def _felt(record: Record, scenario: Scenario) -> tuple[Array, Array]:
+def believed_reading(record: Record, scenario: Scenario) -> tuple[Array, Array]:
     """The believed sensor's reading of the recorded pose, (ticks, 6): undamped, and damped."""
     mechanism, path = scenario.mechanism, record.filled("pose_act")
     path[:, :3] = _smooth(path[:, :3])

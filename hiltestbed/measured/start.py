@@ -12,28 +12,25 @@ import numpy as np
 
 from hiltestbed.frames import Array
 from hiltestbed.measured.noise import FREE_MINIMUM
-from hiltestbed.measured.record import Record
+from hiltestbed.measured.ratio import (
+    CLEAR,
+    OTHER_UNIT,
+    REVERSED,
+    factor_text,
+    likely_scale,
+    scale_fix,
+    share,
+)
+from hiltestbed.measured.record import LOGGER, Record
 from hiltestbed.measured.remark import Remark, error
 from hiltestbed.measured.survey import Survey
-from hiltestbed.measured.units import likely_unit
 from hiltestbed.scenario import Scenario
 
-# a larger ratio means another unit, even if only one of start and travel differs significantly from
-# zero
-UNIT_FACTOR = 100.0
-# the same if both agree on it; the smallest factor between two units of length is 2.54
-OTHER_UNIT = 2.2
-AGREE = 1.3  # factor within which two ratios agree
-CLEAR = 50.0  # sigma, above which a start position or a travel differs significantly from zero
-# ratio to the expected value, of start and travel, below which the sign is reversed
-REVERSED = -0.3
-REVERSED_ALONE = -0.7  # the same if only one of them differs significantly from zero
 # relative deviation of the initial speed of a command from the scenario's, above which it is an
 # error
 OTHER_SPEED = 0.05
 # the same for the initial position, per gap; a platform has lag and scale errors
 OTHER_PLACE = {"pose_cmd.pz": 0.05, "pose_act.pz": 0.5}
-STAMPS = 2.5  # rows by which a channel may be stamped early or late
 UNTOUCHED = 0.7  # of the way to the nominal first touch: a cone is touched before that
 
 
@@ -42,17 +39,16 @@ class Start:
     """One translation of one run at its start.
 
     Attributes:
-        begin: [m], travel: [m] before the first touch. place, speed: ratios to the scenario's
-            values, None if not significant.
-        expected_begin, expected_travel: [m]; velocity: [m/s], of the scenario. rate: [m/s] at the
-            first row, by a parabola through the free flight, since a spurious force reading makes
-            it accelerate; rate_sd: [m/s] of it. gap: [m] of the scenario.
+        begin: [m], travel: [m] before the first touch; expected_begin, expected_travel: [m] of the
+            scenario. ratio: of the path to the scenario's; 0 if it is not proportional to that.
+        velocity: [m/s] of the scenario. rate: [m/s] at the first row, by a parabola through the
+            free flight, since a spurious force reading makes it accelerate; rate_sd: [m/s] of it.
+            gap: [m] of the scenario.
     """
 
     begin: float
     travel: float
-    place: float | None
-    speed: float | None
+    ratio: float
     expected_begin: float
     expected_travel: float
     velocity: float
@@ -61,25 +57,14 @@ class Start:
     gap: float
 
     @property
-    def ratios(self) -> list[float]:
-        return [r for r in (self.place, self.speed) if r is not None]
-
-    @property
     def unit(self) -> float | None:
         """Ratio of the numbers to those in metres; None if they appear to be in metres."""
-        sizes = [abs(r) for r in self.ratios]
-        if not sizes or any(size == 0.0 for size in sizes):
-            return None
-        agree = len(sizes) > 1 and max(sizes) < AGREE * min(sizes)
-        least = OTHER_UNIT if agree else UNIT_FACTOR
-        alike = agree or all(s > 1 for s in sizes) or all(s < 1 for s in sizes)
-        off = all(size > least or size < 1.0 / least for size in sizes)
-        return math.exp(sum(map(math.log, sizes)) / len(sizes)) if off and alike else None
+        size = abs(self.ratio)
+        return None if not size or 1.0 / OTHER_UNIT < size < OTHER_UNIT else size
 
     @property
     def reversed(self) -> bool:
-        least = REVERSED if len(self.ratios) > 1 else REVERSED_ALONE
-        return bool(self.ratios) and all(r < least for r in self.ratios)
+        return self.ratio < REVERSED
 
 
 def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> Start | None:
@@ -95,20 +80,18 @@ def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> St
         return None
     t, values = record.t[known], values[known]
     begin, end = float(np.median(values[:3])), float(np.median(values[-3:]))
-    travel, expected = end - begin, velocity * float(t[-1] - t[0])
-    # a command is reached a tick later; the median of three rows is where the second is
+    # a command is reached a tick later
     reached = float(record.t[1]) if name.startswith("pose_cmd") else 0.0
-    begin_at = (*approach.offset, -approach.gap)[axis] + velocity * (float(t[1]) + reached)
-
-    def ratio(measured: float, given: float) -> float | None:
-        clear = abs(given) > 1e-6 and max(abs(measured), abs(given)) > CLEAR * sigma
-        return measured / given if clear else None
-
-    places = ratio(begin, begin_at), ratio(travel, expected), begin_at, expected
+    path = (*approach.offset, -approach.gap)[axis] + velocity * (t + reached)
+    moved = values - values.mean() if velocity else values
+    clear = np.sqrt(np.mean(moved**2)) > CLEAR * sigma and np.abs(path).max() > 1e-6
+    ratio = share(path, values, moved) if clear else 0.0
+    # the median of three rows is where the second is
+    expected = float(path[1]), velocity * float(t[-1] - t[0])
     # otherwise a touch before the nominal one is possible
     free = scenario.mechanism.flat or found.contacts
     rate = _rate(t, values, sigma) if free else (velocity, math.inf)
-    return Start(begin, travel, *places, velocity, *rate, approach.gap)
+    return Start(begin, end - begin, ratio, *expected, velocity, *rate, approach.gap)
 
 
 def _rate(t: Array, values: Array, sigma: float) -> tuple[float, float]:
@@ -157,7 +140,7 @@ def _another(record: Record, name: str, start: Start) -> Iterator[Remark]:
     """Errors for another approach than the scenario's, which would be blamed on a link."""
     speed, place = start.velocity, start.expected_begin
     commanded = name == "pose_cmd.pz"
-    stamped = STAMPS * abs(speed) * float(record.t[1])
+    stamped = LOGGER * abs(speed) * float(record.t[1])
     if commanded and abs(start.rate - speed) > OTHER_SPEED * abs(speed) + CLEAR * start.rate_sd:
         text = f"begins at {start.rate:.4g} m/s; the scenario approaches at {speed:.4g} m/s"
         given = f"{{approach.velocity.2: {start.rate:.4g}}}"
@@ -172,30 +155,3 @@ def _another(record: Record, name: str, start: Start) -> Iterator[Remark]:
         if gap > 0.0 and commanded:
             fix = f"set in the entry of the run: set: {{approach.gap: {gap:.4g}}}; or, {fix}"
         yield error("start", record.run, name, text, fix)
-
-
-def scale_fix(channel: str, scale: float) -> str:
-    """The entry of the channel map that would correct a channel, on top of a scale of its own."""
-    return (
-        f"if so, multiply its scale by {scale:.8g}: channels: {{{channel}: {{scale: {scale:.8g}}}}}"
-    )
-
-
-def factor_text(size: float, si: str) -> str:
-    """Text on numbers ``size`` times those in SI units: the unit that they may be in."""
-    unit = likely_unit(si, 1.0 / size, 0.03) or likely_unit(si, 1.0 / size, AGREE - 1.0)
-    power = round(math.log10(size))
-    about = f"{size:.3g}" if abs(math.log10(size) - power) > 0.05 else f"{10.0**power:g}"
-    return f"off by about {about}, as if in another unit" + (f" ({unit[0]}?)" if unit else "")
-
-
-def likely_scale(size: float, si: str) -> float:
-    """Factor that converts numbers ``size`` times those in SI: a unit's, 10^n, or 1/size."""
-    unit = likely_unit(si, 1.0 / size, 0.03)
-    power = round(math.log10(size))
-    if unit is not None:
-        return unit[1]
-    if abs(math.log10(size) - power) < 0.15:
-        return 10.0**-power
-    rough = likely_unit(si, 1.0 / size, AGREE - 1.0)
-    return rough[1] if rough else float(f"{1.0 / size:.3g}")

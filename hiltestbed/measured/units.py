@@ -38,6 +38,7 @@ UNITS = {
         "N cm": 1e-2,
         "kgf m": KILOGRAM_FORCE,
         "kgf cm": 1e-2 * KILOGRAM_FORCE,
+        "gf cm": 1e-5 * KILOGRAM_FORCE,
         "lbf in": POUND_FORCE * INCH,
         "lbf ft": POUND_FORCE * 12 * INCH,
     },
@@ -71,6 +72,7 @@ ALIASES = {
     "N": "newton newtons",
     "kN": "kilonewton kilonewtons",
     "lbf": "lb lbs",
+    "kip": "klbf",
     "kgf": "kp kgforce",
     "gf": "p gforce pond",
     "N m": "newtonmeter newtonmetre",
@@ -133,10 +135,3 @@ def unit_fault(channel: str, unit: str | None) -> str | None:
         return None
     listed = ", ".join(allowed)
     return f"is no unit of this channel (got {unit!r}); allowed: {listed}; any other by scale"
-
-
-def likely_unit(si: str, size: float, tolerance: float) -> tuple[str, float] | None:
-    """The unit nearest to ``size`` within the relative ``tolerance``, and its factor; or None."""
-    others = [(abs(f / size - 1.0), name, f) for name, f in UNITS[si].items() if name != si]
-    off, name, found = min(others)
-    return (name, found) if off < tolerance else None

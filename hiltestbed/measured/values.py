@@ -36,8 +36,6 @@ AROUND = 5  # rows
 ABOVE_NOISE = 10.0
 CHANCE = 0.01  # that a reading looks like a mark: by its repetitions and digits
 SAMPLED = 500  # values of a column whose digits are counted
-# chosen: share of the steps of a column above which a value within its range stands out
-STEPPED = 0.995
 SPIKE_ROWS = 2  # rows of a spike, at most
 
 
@@ -217,8 +215,10 @@ def _judged(
     low, high = float(rest.min()), float(rest.max())
     away = max(low - value, value - high)
     if away <= 0.0:  # within the range of the others
-        # jumps as large are part of a column that a converter or a controller moves in steps
-        usual = float(np.quantile(np.abs(np.diff(rest)), STEPPED)) if len(rest) > 1 else 0.0
+        # jumps as large are part of a column that a converter or a controller moves in steps; the
+        # smaller one of two is rarer than half of the chance
+        rare = 1.0 - 0.5 * CHANCE
+        usual = float(np.quantile(np.abs(np.diff(rest)), rare)) if len(rest) > 1 else 0.0
         runs = [(a, b) for a, b in runs if b - a <= AROUND and _least_jump(x, a, b) > usual]
     elif len(rest) < 0.5 * len(x):
         return

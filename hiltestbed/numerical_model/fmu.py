@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiltestbed.devices.cosimulation import POSE, TWIST, WRENCH, CoSimulation
-from hiltestbed.devices.interface import DeviceError
-from hiltestbed.devices.layout import UNIT_LENGTH
+from hiltestbed.devices.interface import UNIT_LENGTH, DeviceError
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.numerical_model.model import NumericalModel

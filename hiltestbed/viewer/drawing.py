@@ -19,6 +19,7 @@ ARROW_LENGTH = 0.6  # [m] of the largest force, at most
 # [m] the force is drawn on its line of action if that passes A within this distance
 LINE_OF_ACTION = 0.6
 ARROW_RADIUS = 0.02  # [m]
+GLASS = 0.3  # opacity of a body: the force on it is drawn inside it
 LABEL_GAP = 0.03  # [m] from the tip of an arrow to its label
 LABEL_FROM = 0.02  # of the largest force; smaller arrows have no label
 

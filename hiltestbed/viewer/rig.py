@@ -21,7 +21,7 @@ from hiltestbed.platform.drawing import drawn_rig
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import JOINT, RunTrace
 from hiltestbed.viewer import colors
-from hiltestbed.viewer.drawing import log_solid, send_poses
+from hiltestbed.viewer.drawing import GLASS, log_solid, send_poses
 from hiltestbed.viewer.solids import Solid, arrow, geom_solid
 
 ROOT = "rig"
@@ -30,7 +30,6 @@ CONTACT_FORCE = f"{AT_P}/contact_force"
 PORT_NAMES = (f"{ROOT}/platform/port_A/name", f"{AT_P}/port_P/name")
 DRAWN_GROUPS = 3  # geom groups 0 to 2 are drawn, as in MuJoCo's own viewer; 3 is for collision
 TRIAD = 0.1  # [m] length of a port's axes
-GLASS = 0.25  # opacity of the passive mechanism: the force on it is drawn inside it
 
 
 class RigScene:

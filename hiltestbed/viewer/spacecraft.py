@@ -19,14 +19,13 @@ from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.scenario import Scenario
 from hiltestbed.scenario.spacecraft import Body
 from hiltestbed.viewer import colors
-from hiltestbed.viewer.drawing import log_solid, send_poses
+from hiltestbed.viewer.drawing import GLASS, log_solid, send_poses
 from hiltestbed.viewer.solids import Solid, along, box, cylinder
 
 ROOT = "spacecraft"
 NAMES = {CHASER: "chaser", TARGET: "target"}
 BODY = {CHASER: (0.80, 0.64, 0.28, 1.0), TARGET: (0.72, 0.75, 0.80, 1.0)}
 PORT = {CHASER: (0.86, 0.20, 0.16, 1.0), TARGET: (0.10, 0.48, 0.62, 1.0)}
-GLASS = 0.3  # opacity of a body: the force on it is drawn inside it
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # a pose
 PANEL = (0.12, 0.20, 0.46, 1.0)
 

@@ -16,9 +16,8 @@ from typing import Any
 
 from hiltestbed.devices.emulate import Emulator
 from hiltestbed.devices.interface import PlatformClient, SensorClient
-from hiltestbed.devices.pace import DevicePace, Pace
+from hiltestbed.devices.pace import DevicePace, Pace, SimulatedClock
 from hiltestbed.devices.session import Observed, Options, Session
-from hiltestbed.devices.timekeeping import SimulatedClock
 from hiltestbed.devices.watch import CommunicationLimits
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import Run

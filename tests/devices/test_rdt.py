@@ -197,7 +197,7 @@ def test_counts_given_by_hand_need_no_unit_from_the_page() -> None:
         page = page_of(settings_of(url), "127.0.0.1")  # type: ignore[arg-type]
     assert (page.counts_per_force, page.force) == (10.0, pytest.approx(9.80665e-3))
     assert (page.counts_per_torque, page.torque, page.rate) == (1e6, 1e-3, 250.0)
-    with pytest.raises(InputError, match=r"torque_unit: is no unit \(got 'mN'\); allowed: N-m"):
+    with pytest.raises(InputError, match=r"torque_unit: is no unit \(got 'mN'\); allowed: N m"):
         settings_of("rdt://127.0.0.1?torque_unit=mN")
 
 

@@ -1,9 +1,11 @@
-"""The clock of a cycle, what the process is granted, the ring and the recording. No time is
+"""The clock of a cycle, what the process is granted, and the recording. No time is
 asserted that a busy machine could miss.
 """
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -16,7 +18,6 @@ from hiltestbed.devices.bench import _stolen, measure
 from hiltestbed.devices.pace import CycleClock
 from hiltestbed.devices.realtime import prepared
 from hiltestbed.devices.recorder import Recorder
-from hiltestbed.devices.ring import Ring
 from hiltestbed.errors import HiltestbedError, InputError
 from tests.devices.running import until
 
@@ -86,7 +87,6 @@ REFUSED = {
     r"cannot be made \(got 0.5 Hz for 1 s\); allowed are 1 to 20000 Hz and up to a day": lambda: (
         measure(0.5, 1.0)
     ),
-    r"cannot hold 1 rows of 3 numbers": lambda: Ring(3, 1),
 }
 
 
@@ -96,32 +96,16 @@ def test_what_cannot_be_done_is_said(said: str) -> None:
         REFUSED[said]()
 
 
-def test_a_ring_hands_over_each_row_once_and_drops_what_does_not_fit() -> None:
-    ring = Ring(columns=3, rows=8)
-    rows = np.arange(60.0).reshape(20, 3)
-    assert [ring.push(row) for row in rows[:10]] == [True] * 8 + [False] * 2
-    np.testing.assert_array_equal(ring.take(), rows[:8])
-    assert len(ring.take()) == 0
-    taken = []
-    for row in rows[10:]:
-        assert ring.push(row)
-        taken.append(ring.take())
-    np.testing.assert_array_equal(np.concatenate(taken), rows[10:])
-    assert ring.dropped == 2
-    ring.push(rows[0])
-    ring._rows[18 % 8, -1] = -1.0  # a row whose end has not arrived yet
-    assert len(ring.take()) == 0
-    ring._rows[18 % 8, -1] = 18.0
-    np.testing.assert_array_equal(ring.take(), rows[:1])
-    ring.close()
-
-
-def test_a_recording_holds_every_row(tmp_path: Path) -> None:
-    recorder = Recorder(columns=4, rows=500, path=tmp_path / "rows.f64")
-    rows = np.random.default_rng(0).normal(size=(3000, 4))
+def test_a_recording_holds_every_row_however_slow_its_process_is(tmp_path: Path) -> None:
+    """More rows at once than a pipe holds, while the process does not run."""
+    recorder = Recorder(tmp_path / "rows.f64")
+    rows = np.random.default_rng(0).normal(size=(50_000, 4))
+    os.kill(recorder._process._process.pid, signal.SIGSTOP)
     for row in rows:
-        until(lambda row=row: recorder.push(row))
-    np.testing.assert_array_equal(recorder.finish(), rows)
+        recorder.push(row)
+    os.kill(recorder._process._process.pid, signal.SIGCONT)
+    recorder.finish()
+    np.testing.assert_array_equal(np.fromfile(tmp_path / "rows.f64").reshape(-1, 4), rows)
 
 
 def test_a_recording_survives_the_loop(tmp_path: Path) -> None:
@@ -134,7 +118,7 @@ import os, signal, numpy as np
 from pathlib import Path
 from hiltestbed.devices.recorder import Recorder
 signal.signal(signal.SIGINT, lambda *_: None)
-recorder = Recorder(2, 100, Path({str(path)!r}))
+recorder = Recorder(Path({str(path)!r}))
 os.killpg(0, signal.SIGINT)
 for k in range(50):
     recorder.push(np.array([k, -k], dtype=float))
@@ -151,7 +135,7 @@ def test_a_recording_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(
         HiltestbedError, match=r"did not start; check that the folder can be written to"
     ):
-        Recorder(2, 100, tmp_path / "no folder" / "rows.f64")
+        Recorder(tmp_path / "no folder" / "rows.f64")
 
 
 def test_the_measurement_accounts_for_every_cycle() -> None:

@@ -14,10 +14,9 @@ import pytest
 
 from hiltestbed.devices.emulate import Emulator
 from hiltestbed.devices.interface import DeviceError
-from hiltestbed.devices.pace import HostPace, pace_of
+from hiltestbed.devices.pace import RATE_ERROR, HostPace, Timekeeper, WallClock, pace_of
 from hiltestbed.devices.session import Session
 from hiltestbed.devices.table import platform_client, sensor_client
-from hiltestbed.devices.timekeeping import RATE_ERROR, Timekeeper, WallClock
 from tests.devices.lockstep import against, scenario_of
 
 TICK, LIMIT = 0.001, 0.02

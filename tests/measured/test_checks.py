@@ -136,6 +136,35 @@ def test_what_contradicts_the_physics_is_an_error_with_its_fix(
         np.testing.assert_allclose(record.column(name), good[name], rtol=1e-12)
 
 
+DRIVEN = {  # a change of the data; of the errors: channels and check
+    "nothing": (changed("wrench", 1.0), [], ""),
+    "the force of a stiffer contact": (changed("wrench", 5.0), [], ""),
+    "force of the other sign": (changed("wrench_meas", -1.0), ["wrench_meas.fz"], "sign"),
+    "compensation turned": (changed("wrench_comp", -1.0), ["wrench_comp.fz"], "sign"),
+    "force in kN": (changed("wrench", 1e-3), ["wrench_meas.fz", "wrench_comp.fz"], "unit"),
+    "force on another axis": (_swap_axes, ["wrench_meas.fz", "wrench_comp.fz"], "axes"),
+}
+
+
+@pytest.mark.parametrize("mistake", DRIVEN)
+def test_of_a_driven_machine_the_force_is_that_of_the_believed_contact_along_the_pose(
+    tmp_path: Path, mistake: str
+) -> None:
+    """By its sign, its axis and its order of magnitude: no momentum tells more."""
+    change, channels, check = DRIVEN[mistake]
+    table = {n: v for n, v in bounce.columns().items() if not n.startswith("pose_cmd")}
+    change(table)
+    path = bounce.write_dataset(tmp_path, table)
+    at_rest = bounce.SCENARIO.replace(
+        f"velocity: [{bounce.SIDE}, 0.0, {bounce.SPEED}]", "velocity: [0.0, 0.0, 0.0]"
+    )
+    (tmp_path / "nominal.yaml").write_text(at_rest)
+    errors = _errors(examine(path))
+    assert [r.channel for r in errors] == channels
+    assert {r.check for r in errors} <= {check}
+    assert all(r.fix for r in errors)
+
+
 def test_two_numbers_that_are_alike_on_coarse_steps_are_no_copy(tmp_path: Path) -> None:
     """Two axes at rest at the edge of a step show its two numbers; four in the same order are a
     copy.

@@ -11,6 +11,9 @@ from scipy.optimize import least_squares
 from hiltestbed.frames import Array
 
 LONGEST = 0.2  # [s] largest delay that is fitted
+# half widths of its 95 % interval by which an estimate has to differ from its neutral value: 3.92
+# standard deviations, as by chance one in 11,000
+SIGNIFICANT = 2.0
 
 
 @dataclass(frozen=True)

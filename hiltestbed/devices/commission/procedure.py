@@ -19,7 +19,12 @@ import numpy as np
 from hiltestbed.build import runnable_from
 from hiltestbed.config.yaml_source import dump_yaml
 from hiltestbed.devices.commission.motions import SETTLED, TestMotion, motions
-from hiltestbed.devices.commission.platform import PlatformFit, TestedPath, fit_platform
+from hiltestbed.devices.commission.platform import (
+    SIGNIFICANT,
+    PlatformFit,
+    TestedPath,
+    fit_platform,
+)
 from hiltestbed.devices.commission.sensor import Expected, SensorFit, Shown, fit_sensor
 from hiltestbed.devices.interface import DeviceError
 from hiltestbed.devices.live import rehearse
@@ -33,7 +38,6 @@ from hiltestbed.scenario import Scenario, dump_scenario, resolved
 from hiltestbed.sensor.effects import SensorRotation
 from hiltestbed.signals import AXES, RunTrace
 
-FORCE = 100.0  # [N] of a press
 # relative difference of misfit within which two fits with equally many numbers are equivalent
 # (decides only the axes named)
 ALIKE = 1e-3
@@ -41,7 +45,6 @@ LEAST_SCALE = 2e-3  # smallest error of a scale that is reported: 8 um of a pres
 SHORTEST = 1e-4  # [s] smallest delay that is reported: a fifth of a tick at 2 kHz
 RESULT, DATASET = "commission.json", "dataset.yaml"
 NOMINAL, BELIEVED = "nominal.yaml", "believed.yaml"
-LEAST_COMPLIANCE = 1e-12  # [m/N] that can be measured: 0.1 nm of a press of 100 N
 Progress = Callable[[str], None]
 
 
@@ -70,7 +73,7 @@ class Commissioned:
 def commission(
     scenario: Scenario,
     options: Options,
-    force: float = FORCE,
+    force: float = 100.0,
     progress: Progress = lambda step: None,
 ) -> Commissioned:
     """Measure the devices of ``scenario`` with presses of about ``force`` [N].
@@ -220,14 +223,14 @@ def effects_of(sensor: SensorFit, platform: PlatformFit) -> list[dict[str, Any]]
         found.append({"kind": "platform.delay", "delay": platform.delay})
     scales = platform.scale or (), platform.scale_ci95 or ()
     for axis, value, ci95 in zip("xyz", *scales, strict=False):
-        if abs(value - 1.0) > max(LEAST_SCALE, 2.0 * ci95):
+        if abs(value - 1.0) > max(LEAST_SCALE, SIGNIFICANT * ci95):
             found.append({"kind": "platform.scale", "axis": axis, "factor": value})
     return found
 
 
 def _least_delay(ci95: float) -> float:
     """Smallest significant delay [s], given the half width of its 95 % interval."""
-    return max(SHORTEST, 2.0 * ci95)
+    return max(SHORTEST, SIGNIFICANT * ci95)
 
 
 def write_commission(result: Commissioned, path: Path) -> Path:
@@ -265,6 +268,7 @@ def _differences(start: np.ndarray, duration: float) -> dict[str, Any]:
 def figures(result: Commissioned) -> dict[str, Any]:
     """All measured quantities, as plain data."""
     sensor, platform = result.sensor, result.platform
+    compliances = zip(platform.compliance, platform.compliance_ci95, strict=True)
     gain = next((n.value for n in sensor.numbers if n.source == n.axis == "z"), 1.0)
     return {
         "name": result.believed.name,
@@ -286,7 +290,7 @@ def figures(result: Commissioned) -> dict[str, Any]:
         "platform": vars(platform),
         "stiffness": {
             "contact_as_felt": gain * result.believed.mechanism.contact.stiffness,
-            "rig": [1.0 / c if c > LEAST_COMPLIANCE else None for c in platform.compliance],
+            "rig": [1.0 / c if c > ci95 else None for c, ci95 in compliances],
         },
         "effects": [e.model_dump(mode="json") for e in result.nominal.effects],
         "departures": list(result.departures),

@@ -24,7 +24,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.build import runnable_from
-from hiltestbed.devices.commission.platform import spread_of
+from hiltestbed.devices.commission.platform import SIGNIFICANT, spread_of
 from hiltestbed.frames import Array, rotation_matrix
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario, resolved
@@ -32,7 +32,6 @@ from hiltestbed.signals import AXES
 
 ROWS = 6000  # largest number of rows, of all motions together, in a fit
 WORTH = 0.2  # fraction of the residual sum of squares that one more number has to explain
-SIGNIFICANT = 4.0  # standard deviations by which it has to differ from its neutral value
 LEAST = 5e-4  # smallest gain error or crosstalk that is reported
 # [deg] smallest rotation of the axes that is reported: it puts 2e-3 of the force on a lateral axis
 LEAST_TURN = 0.1
@@ -123,7 +122,7 @@ class SensorFit:
         """Whether the axes differ significantly from the given ones."""
         if self.turn_deg is None:
             return False
-        spread = SIGNIFICANT / 1.96 * np.array(self.attitude_ci95_deg)
+        spread = SIGNIFICANT * np.array(self.attitude_ci95_deg)
         return bool(np.any(np.abs(self.turn_deg) > np.maximum(LEAST_TURN, spread)))
 
 
@@ -192,7 +191,7 @@ class _Fit:
 
     def holds(self) -> bool:
         """Whether the number added last is significant."""
-        return abs(self.p[-1]) > max(LEAST, SIGNIFICANT / 1.96 * self.spread()[-1])
+        return abs(self.p[-1]) > max(LEAST, SIGNIFICANT * self.spread()[-1])
 
 
 class _Data:

@@ -62,7 +62,7 @@ class Mcap(DataFormat):
                     topic, stamp = column_of(channel.topic), None
                     if channel.message_encoding == "json":
                         decoder.topics[topic] = "json"
-                        numbers = dict(_numbers(topic, json.loads(message.data)))
+                        numbers = dict(_fields(topic, json.loads(message.data), None, None))
                     else:
                         how = channel.message_encoding, schema
                         numbers, stamp = decoder.numbers(topic, *how, message.data)
@@ -121,18 +121,6 @@ def _unevenness(clock: Mapping[str, Array]) -> float:
             return float("inf")
         spread += float(np.abs(steps - np.median(steps)).mean()) / mean
     return spread
-
-
-def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
-    """The numbers in a message; nested fields are named with dots."""
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _numbers(f"{name}.{key}", inner)
-    elif isinstance(value, list):
-        for index, inner in enumerate(value):
-            yield from _numbers(f"{name}.{index}", inner)
-    elif isinstance(value, (int, float)) and not isinstance(value, bool):
-        yield name, float(value)
 
 
 class Decoder:
@@ -205,10 +193,12 @@ class Decoder:
 def _fields(
     name: str, value: Any, labels: tuple[tuple[str, ...], ...] | None, longest: int | None
 ) -> Iterator[tuple[str, float]]:
-    """The numbers in a message. labels: lists of names that messages around it hold, outermost
-    first; None: elements are named by their indices.
+    """The numbers in a message of JSON or ROS 2; nested fields are named with dots.
+
+    labels: lists of names that messages around it hold, outermost first; None: elements are named
+    by their indices. longest: elements of an array, at most, for it to be read; None: any.
     """
-    if isinstance(value, (bool, str, bytes)):
+    if value is None or isinstance(value, (bool, str, bytes)):
         return
     if isinstance(value, (int, float)):
         yield name, float(value)
@@ -220,10 +210,11 @@ def _fields(
         for key, inner in zip(keys, value, strict=True):
             yield from _fields(f"{name}.{key}", inner, labels, longest)
     else:
-        fields = {key: getattr(value, key) for key in value.__slots__}
+        json_object = isinstance(value, dict)
+        fields = value if json_object else {key: getattr(value, key) for key in value.__slots__}
         if labels is not None:
-            own = (fields.get(key) for key in LABELS)
-            labels += tuple(tuple(names) for names in own if isinstance(names, list) and names)
+            lists = (fields.get(key) for key in LABELS)
+            labels += tuple(tuple(names) for names in lists if isinstance(names, list) and names)
         for key, inner in fields.items():
             yield from _fields(f"{name}.{key}", inner, labels, longest)
 

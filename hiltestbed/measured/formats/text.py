@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 BLOCK = 1 << 22  # [byte] read at a time
 PROBE = 1 << 20  # [byte] from which the dialect and the length of a row are estimated
 PROBED = 400  # lines of it that are looked at: the first half, and others up to its end
-HALF = 0.5  # part of the lines that a table must fill, at least
 BOMS = {
     codecs.BOM_UTF32_LE: "utf-32",
     codecs.BOM_UTF32_BE: "utf-32",
@@ -132,14 +131,14 @@ class Text(DataFormat):
         options = sample, wanted, self.delimiter, self.decimal
         found = recognise(*options, self.header)
         rows = sum(bool(s.strip()) and not s.lstrip().startswith(COMMENTS) for s in sample)
-        if found is not None and found.rows >= HALF * (rows - found.first):
+        if found is not None and 2 * found.rows >= rows - found.first:
             return found
         if rows == 0:
             raise unreadable(path, "holds no names and no rows", "the first line names the columns")
         bare = recognise(*options, 0)
         shown = next(s for s in sample if s.strip())[:60]
         what = f"is no table of numbers below a line of names (begins with {shown!r})"
-        if bare is not None and bare.rows >= HALF * (rows - bare.first):
+        if bare is not None and 2 * bare.rows >= rows - bare.first:
             what += f"; its rows have {bare.width} cells, {bare}, and no line above as many names"
         do = "a table with decimal commas needs another sign than commas between its cells"
         raise unreadable(path, what, f"{do}; if it is known how the file is written, give {KEYS}")
