@@ -20,6 +20,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize, minimize_scalar
 
 from hiltestbed.frames import Array
+from hiltestbed.measured.shifts import LOGGER
 from hiltestbed.replay.wrench import shifted
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8)
@@ -169,9 +170,10 @@ def low_pass_between(
     if least > MAX_RMS_RATIO**2 * left(before) or least > _interpolated(before, left):
         return None
     one = LowPass(order, _cutoff(x[0]))
-    late = min((float(x[1]), float(x[1]) - one.delay), key=abs)
-    # a larger shift is a stamp delay (log.skew)
-    return replace(one, prompt=late == float(x[1]), part=late if abs(late) < 1.0 else 0.0)
+    shift = float(x[1])
+    # stamps may be late by any time (log.skew), and early by what loggers are
+    late = min((x for x in (shift, shift - one.delay) if x > -LOGGER), key=abs, default=shift)
+    return replace(one, prompt=late == shift, part=late if abs(late) < 1.0 else 0.0)
 
 
 def _interpolated(values: Sequence[Array], left: Callable[[Sequence[Array]], float]) -> float:
