@@ -569,9 +569,11 @@ def open_timings(link: ModelLink, sigma: float = SHIFT_SIGMA) -> tuple[Nuisance,
         least, most = (x * tick for x in ends)
         return Nuisance(name, "s", sigma * tick, most, least, tuple(x * tick for x in starts))
 
-    # noise passes on from the input of the others, so that it matters which of both is late
+    # through the others noise passes, so that it matters whether the output or the input is late
     names = ("delay",) if link.name in ("wrench", "platform") else ("delay", "before")
-    each = sigma / math.sqrt(len(names))
+    if sigma <= TIME_ERROR:  # clocks as exact as an integration in steps
+        names = ()
+    each = sigma / math.sqrt(max(len(names), 1))
     out = [rows(name, each, (-REACH * each, REACH * each), STAMP_STARTS) for name in names]
     if link.name == "platform":
         out.append(rows("obeyed", INSTANT_SIGMA, (0.0, LATEST_INSTANT), (0.25,)))

@@ -20,7 +20,6 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize, minimize_scalar
 
 from hiltestbed.frames import Array
-from hiltestbed.measured.shifts import LOGGER
 from hiltestbed.replay.wrench import shifted
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8)
@@ -37,6 +36,7 @@ DELAY_ERROR = 0.005
 STARTS_PER_ORDER = 3  # chosen: starts of the search
 NELDER_MEAD_OPTIONS = {"xatol": 1e-3, "fatol": 1e-9, "maxiter": 150}
 RESPONSE_PERIODS = 2.0  # chosen: periods of the cut-off over which the filter responds to a jump
+EARLIEST = -1.5  # [rows] of a stamp: a row, by which loggers stamp early, and half a tick
 END_ROWS = 20  # chosen: at both ends that depend on rows outside the record
 
 
@@ -172,7 +172,7 @@ def low_pass_between(
     one = LowPass(order, _cutoff(x[0]))
     shift = float(x[1])
     # stamps may be late by any time (log.skew), and early by what loggers are
-    late = min((x for x in (shift, shift - one.delay) if x > -LOGGER), key=abs, default=shift)
+    late = min((x for x in (shift, shift - one.delay) if x > EARLIEST), key=abs, default=shift)
     return replace(one, prompt=late == shift, part=late if abs(late) < 1.0 else 0.0)
 
 

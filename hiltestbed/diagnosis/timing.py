@@ -61,9 +61,10 @@ def clocks_of(name: str, explanations: Mapping[str, Explanation]) -> tuple[float
         return 0.0, SHIFT_SIGMA
     seen = math.sqrt(sum(shift_rows(e) ** 2 for e in others) / len(others))
     if len(others) < len(LINK_CHANNELS) - 1:
-        return 0.0, math.hypot(TIME_ERROR, min(seen, SHIFT_SIGMA))
-    instants = math.hypot(TIME_ERROR, min(seen, math.sqrt(2.0) * INSTANT_SIGMA))
-    return -sum(map(_stamp_shift_rows, others)), instants
+        return 0.0, min(seen, SHIFT_SIGMA)
+    instants = min(seen, math.sqrt(2.0) * INSTANT_SIGMA)
+    mean = -sum(map(_stamp_shift_rows, others))
+    return mean * (abs(mean) > TIME_ERROR), instants
 
 
 def delayed(e: Explanation) -> bool:
