@@ -85,8 +85,11 @@ class Explanation:
         return self.link.timing_with([self.model.timing(self.fit.of)])
 
     def residual(self) -> Residual:
-        """The residual of the link with its timing as found, in units of the noise alone."""
-        return Residual(self.link.with_timing(self.timing()), self.model.members)
+        """The residual of the link in units of the noise alone, with its timing as found; as
+        believed where nothing explains it, since a shift then stands in for what has no name.
+        """
+        timing = self.timing() if self.adequate or self.causes else self.link.timing
+        return Residual(self.link.with_timing(timing), self.model.members)
 
     def timed(self) -> LinkModel:
         """The model with its timing as found."""

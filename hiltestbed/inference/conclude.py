@@ -133,8 +133,8 @@ class LeftOut:
         """The slopes of the samples of all runs that a fold has."""
         pairs = zip(self._whole.model.runs, zip(left.starts, left.rows, strict=True), strict=True)
         places = dict(pairs)
-        at = [model.kept(np.arange(s, s + n)) for s, n in (places[run] for run in model.runs)]
-        return Changes(slopes.samples[:, np.concatenate(at)], slopes.priors)
+        each = [slopes.samples.T[s : s + n] for s, n in (places[run] for run in model.runs)]
+        return Changes(np.concatenate(list(map(model.kept, each))).T, slopes.priors)
 
     def rms(self, found: PosteriorFit) -> Array:
         """(F,) of each left-out part, as its owner would compare it, in the unit of the record."""
