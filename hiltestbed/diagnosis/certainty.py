@@ -87,9 +87,8 @@ def certainty(link: str, e: Explanation) -> Certainty:
     normal[~determined, ~determined] = 1.0
     low, high, log = likelihood.bounds(fit.causes)
     names = [(c, name) for c in fit.causes for name in c.names]
-    profiles, asked = [], [j for j, (c, _) in enumerate(names) if c.sigma is None]
-    for j in asked:
-        c, name = names[j]
+    profiles, count = [], len(names)
+    for j, (c, name) in enumerate(names):
         at, bounds = float(x[j]), (float(low[j]), float(high[j]))
         ends = float(e.conclusion.ends[j, 0]), float(e.conclusion.ends[j, 1])
         close = BOUND_TOLERANCE * (abs(at) if log[j] else high[j] - low[j])
@@ -100,15 +99,14 @@ def certainty(link: str, e: Explanation) -> Certainty:
         values = np.unique(np.clip(at + reach * side, *bounds))
         rise = _rises(likelihood, fit, x, np.where(determined, normal, 0.0), j, values)
         of = ", ".join(str(v) for v in c.fixed.values() if isinstance(v, str))
-        key = name.partition(".")[0]
-        # a parameter that is not the effect's is the log's stamp delay
-        unit = c.effect.unit(key) if key in c.effect.model_fields else "s"
-        profiles.append(Profile(c.kind, name, unit, of, at, ends, bounds, met, values, rise))
+        profiles.append(
+            Profile(c.kind, name, c.unit(name), of, at, ends, bounds, met, values, rise)
+        )
     inverse = np.linalg.pinv(normal, hermitian=True)
     root = np.sqrt(np.maximum(np.diag(inverse), np.finfo(float).tiny))
     correlation = np.clip(inverse / np.outer(root, root), -1.0, 1.0)
     correlation[~determined], correlation[:, ~determined] = np.nan, np.nan
-    return Certainty(link, tuple(profiles), correlation[np.ix_(asked, asked)])
+    return Certainty(link, tuple(profiles), correlation[:count, :count])
 
 
 def _rises(

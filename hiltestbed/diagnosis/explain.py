@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiltestbed.diagnosis.link_model import NOTHING, LinkModel, Whiteness
+from hiltestbed.diagnosis.link_model import LinkModel, Whiteness
 from hiltestbed.diagnosis.links import ModelLink, Timing, WrenchLink
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.effects.base import Effect
@@ -82,11 +82,14 @@ class Explanation:
         return tuple(e.kind for e in self.effects())
 
     def timing(self) -> Timing:
-        return self.link.timing_with(self.fit.of.each())
+        return self.link.timing_with([self.model.timing(self.fit.of)])
 
     def residual(self) -> Residual:
-        """The residual of the link with its timing as found, in units of the noise alone."""
-        return Residual(self.link.with_timing(self.timing()), self.model.members)
+        """The residual of the link in units of the noise alone, with its timing as found; as
+        believed where nothing explains it, since a shift then stands in for what has no name.
+        """
+        timing = self.timing() if self.adequate or self.causes else self.link.timing
+        return Residual(self.link.with_timing(timing), self.model.members)
 
     def timed(self) -> LinkModel:
         """The model with its timing as found."""
@@ -128,7 +131,8 @@ class Explanation:
     def alone(self, n: int, found: PosteriorFit) -> tuple[LinkModel, PosteriorFit]:
         """The model of the member n alone, and the causes of ``found`` fitted to it."""
         model = self.model.on([n])
-        return model, model.likelihood().fit(found.causes, [found.of.theta])
+        fitted = model.likelihood().fit(found.causes, [found.of.theta], found.of.nuisances)
+        return model, fitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,8 +167,8 @@ class OpenPair:
 
 
 def effects_of(fit: PosteriorFit) -> list[Effect]:
-    """The causes of a fit as effects, without its nuisances."""
-    return [e for e in fit.of.each() if not isinstance(e, Timing)]
+    """The causes of a fit as effects."""
+    return fit.of.each()
 
 
 def explain(
@@ -195,7 +199,7 @@ def explain(
         if not any(way() for way in ways):
             break
     model, found = so_far.model, so_far.found
-    concluded = conclude(found, model.folds(), so_far.everything, progress)
+    concluded = conclude(found, model.folds(), so_far.candidates, progress)
     left = concluded.fit.left
     return Explanation(
         model, so_far.candidates, concluded, model.leaves_noise(left), model.excess(left)
@@ -217,16 +221,12 @@ class _SoFar:
         self.candidates = tuple(c for c in candidates if not c.effect.rich)
         self._kept = tuple(c for c in candidates if c.effect.rich)  # for want of simpler ones
         self._likelihood = self.model.likelihood()
-        nothing = self.model.residuals(NOTHING)
+        nothing = self._likelihood.start().left
         if not self.model.leaves_noise(nothing):
             self.candidates = (*self.candidates, *hums(self.model, nothing))
         self._alone_asked = self._several_asked = False
         self._new = True  # whether what may explain has changed since causes were too many
         self.found = self._searched(self._likelihood.start(), (), 0)
-
-    @property
-    def everything(self) -> tuple[Candidate, ...]:
-        return (*self.candidates, *self.model.timings())
 
     @property
     def _noise(self) -> bool:
@@ -239,11 +239,13 @@ class _SoFar:
     def _searched(
         self, start: PosteriorFit, before: Sequence[PosteriorFit], more: int | None
     ) -> Searched:
-        return search(self._likelihood, self.everything, self._progress, start, before, more)
+        return search(self._likelihood, self.candidates, self._progress, start, before, more)
 
     def _through(self, model: LinkModel, base: PosteriorFit, likelihood: Likelihood) -> None:
         self.model, self._likelihood, self._new = model, likelihood, True
-        self.found = self._searched(likelihood.fit(base.causes, [base.of.theta]), (), 0)
+        self.found = self._searched(
+            likelihood.fit(base.causes, [base.of.theta], base.of.nuisances), (), 0
+        )
 
     def _led_to(self, model: LinkModel, base: PosteriorFit) -> bool:
         """Whether a model is another one: then it is gone on with, from a hypothesis."""
@@ -258,7 +260,7 @@ class _SoFar:
         """
         grown, self.found = found.best.keys != self.found.best.keys, found
         if grown:
-            there = interpreted(self.model.under(found.best.of.each()), found.best)
+            there = interpreted(self.model.under(self.model.effects(found.best.of)), found.best)
             if there is not self.model:
                 same = there.link is self.model.link
                 known = self._likelihood.through(there) if same else there.likelihood()
@@ -312,7 +314,7 @@ class _SoFar:
         if self._alone_asked or (self._noise and self._count <= FEW):
             return False
         self._alone_asked = True
-        there, alone = with_one_cause(self.found, self.everything)
+        there, alone = with_one_cause(self.found, self.candidates)
         if there is not self.model:
             return self._led_to(there, alone)
         if alone.evidence <= self.found.best.evidence:
@@ -370,7 +372,7 @@ def with_noise_of_the_log(model: LinkModel, best: PosteriorFit) -> LinkModel:
     """The model with the noise that a hypothesis leaves; itself where what is left is no noise."""
     if isinstance(model.link, WrenchLink) or model.link.computed:
         return model
-    shown = model.link.predict([(i, best.of.each()) for i in model.members])
+    shown = model.link.predict([(i, model.effects(best.of)) for i in model.members])
     left = [(i, model.link.runs[i].measured - p) for i, p in zip(model.members, shown, strict=True)]
     noisier = model.link.noisier(left)
     other = model.coloured(best.left) if noisier is model.link else model.through(noisier)
@@ -383,7 +385,9 @@ def interpreted(model: LinkModel, found: PosteriorFit) -> LinkModel:
         return model
     for others in model.link.interpretations(found.of.each()):
         models = [model, *(model.through(link) for link in others)]
-        fits = [m.likelihood().fit(found.causes, [found.of.theta]) for m in models]
+        fits = [
+            m.likelihood().fit(found.causes, [found.of.theta], found.of.nuisances) for m in models
+        ]
         costs = [f.cost for f in fits]
         best = int(np.argmin(costs))
         if costs[best] < costs[0] - 2.0 * READ_OTHERWISE:

@@ -34,7 +34,7 @@ from hiltestbed.diagnosis.timing import clock_offsets
 from hiltestbed.diagnosis.unexplained import contradiction, describe
 from hiltestbed.diagnosis.verdict import Named, Verdict, decide, explained
 from hiltestbed.effects.base import Effect
-from hiltestbed.inference.conclude import Confirmed, Estimate, LeftOut
+from hiltestbed.inference.conclude import Confirmed, Estimate
 from hiltestbed.inference.likelihood import PosteriorFit
 from hiltestbed.inference.search import Progress
 from hiltestbed.process.progress import labelled
@@ -155,8 +155,8 @@ def _nearest(findings: Findings, verdict: Verdict) -> tuple[Named, ...]:
     best = next((f for f in e.singles() if f.evidence > e.conclusion.null.evidence), None)
     if best is None:
         return ()
-    (cause,) = (c for c in best.causes if c.sigma is None)
-    values = zip(cause.names, best.of.theta, strict=False)
+    (cause,) = best.causes
+    values = zip(cause.names, best.of.theta, strict=True)
     estimates = tuple(Estimate(n, float(v), float(v), float(v)) for n, v in values)
     return (Named(name, Confirmed(cause, estimates, 0.0, 1.0, ())),)
 
@@ -261,7 +261,7 @@ def heldout(e: Explanation, found: PosteriorFit) -> Heldout | None:
     own, count, null = {c.kind for c in found.causes}, len(found.of.theta), e.conclusion.null
     wrong = [f for f in e.singles() if not own & {c.kind for c in f.causes}]
     far = min(wrong, key=lambda f: (abs(len(f.of.theta) - count), f.evidence), default=null)
-    held = LeftOut(e.likelihood, e.model.folds())
+    held = e.conclusion.judge
     squares = [
         dict(zip(runs, (held.rms(f) ** 2).tolist(), strict=True)) for f in (null, found, far)
     ]

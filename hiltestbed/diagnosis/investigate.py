@@ -30,7 +30,7 @@ from hiltestbed.diagnosis.recorded import (
     platform_link,
 )
 from hiltestbed.diagnosis.stiction import sticking
-from hiltestbed.diagnosis.timing import stamped_alone
+from hiltestbed.diagnosis.timing import clocks_of, judged_again
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.inference.search import Progress
@@ -108,12 +108,19 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
                 bool(contact.commands),
             )
             found["wrench"] = with_other_clock(
-                explain(LinkModel(contact), candidates, told("wrench"), found.get("compensation"))
+                explain(
+                    LinkModel(contact).clocked(*clocks_of("wrench", found)),
+                    candidates,
+                    told("wrench"),
+                    found.get("compensation"),
+                )
             )
             whole["wrench"] = make_wrench_link(layout, path, layout.whole)
-    for name in stamped_alone(found):
-        e = found[name]
-        found[name] = explain(e.model.as_stamped(), e.candidates, told(name))
+    for name in judged_again(found):
+        if name != "wrench":
+            e = found[name]
+            model = e.model.clocked(*clocks_of(name, found))
+            found[name] = explain(model, e.candidates, told(name))
     if "wrench" in found:
         read, entire = found["wrench"].link, whole["wrench"]
         assert isinstance(read, WrenchLink)

@@ -19,6 +19,7 @@ from scipy.stats import norm
 
 from hiltestbed.diagnosis.explain import Explanation
 from hiltestbed.diagnosis.link_model import NOTHING, LinkModel
+from hiltestbed.diagnosis.links import Timing
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.result import Isolable
 from hiltestbed.effects.search import Candidate
@@ -37,7 +38,7 @@ class FisherInformation:
     """What effects change of the runs of a link, beside what its nuisances may."""
 
     def __init__(self, model: LinkModel, each: Sequence[Effects]) -> None:
-        nuisances = [[c.at(c.sigma)] for c in model.timings() if c.sigma is not None]
+        nuisances = [[Timing.hypothesis({}, **{n.name: n.sigma})] for n in model.nuisances]
         errors = [np.concatenate(e) for e in model.common_errors(NOTHING)]
         self._count = len(each)
         # (R, E + P + Q, E + P + Q) of the changes of each run by effects, nuisances, common errors

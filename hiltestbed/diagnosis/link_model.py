@@ -27,13 +27,11 @@ from hiltestbed.diagnosis.recorded import UNUSED_END_ROWS
 from hiltestbed.diagnosis.residual import Residual, finite
 from hiltestbed.diagnosis.settings import BLOCK_ROWS, MODEL_ERROR, UNKNOWN
 from hiltestbed.effects.base import Effect
-from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Likelihood, PosteriorFit
-from hiltestbed.inference.model import Hypothesis, Model
+from hiltestbed.inference.model import Hypothesis, Model, Nuisance
 from hiltestbed.inference.residuals import RunResiduals
 from hiltestbed.measured.noise import MAD_TO_SIGMA, OUTLIER_SIGMA
-from hiltestbed.measured.shifts import LOGGER
 from hiltestbed.replay.wrench import shifted
 from hiltestbed.sensor.effects import SensorDelay, SensorJitter
 
@@ -50,8 +48,9 @@ EVEN_SIGMA = 1.0 / math.sqrt(3.0)
 # [rows] of an instant within a tick at which a facility samples or obeys
 LATEST_INSTANT = 0.5
 INSTANT_SIGMA = LATEST_INSTANT * EVEN_SIGMA
-# [rows] by which a stamp is late: a row, half a tick of an instant, and the error of an integration
-LATEST_STAMP = 1.0 + LATEST_INSTANT + TIME_ERROR
+REACH = 3.0  # standard deviations at which a prior of stamps ends: 0.3 % lie beyond
+# [rows] of a shift between two channels, each stamped on its own
+SHIFT_SIGMA = math.sqrt(2.0) * EVEN_SIGMA
 STAMP_STARTS = (-0.8, -0.3, 0.3, 0.8)  # [rows] of a search for an offset
 MOST_OLD = 0.9  # share of the old twist in a new pose; all of it is explicit Euler, a cause
 # share of what is left of a computed channel that follows its output, from which it departs
@@ -123,7 +122,6 @@ class LinkModel(Model):
     """
 
     noise_known = True
-    nuisances = ()
 
     def __init__(
         self,
@@ -131,14 +129,15 @@ class LinkModel(Model):
         members: Sequence[int] | None = None,
         doubt: Sequence[Array | None] | None = None,
         colour: Sequence[Array] | None = None,
-        stamped: bool = False,
+        timings: tuple[Nuisance, ...] | None = None,
     ) -> None:
         """doubt: (N, C) of each run of the link: further uncertainty of its prediction, in the unit
         of the output. colour: (C, P + 1) of each run, prediction-error filters that make the noise
-        white; None: those of the link. stamped: whether its channels are known to be stamped as
-        they are said to be, so that only instants within a tick are open.
+        white; None: those of the link. timings: what is open of when the facility samples, obeys,
+        stamps and steps; None: as of a link of which nothing more is known.
         """
-        self.link, self.doubt, self._stamped = link, doubt, stamped
+        self.link, self.doubt = link, doubt
+        self.nuisances = open_timings(link) if timings is None else timings
         self.members = tuple(range(len(link.runs)) if members is None else members)
         self.counted = tuple(_without_ends(np.isfinite(r.sigma)) for r in link.runs)
         self.weight: list[Array] = []
@@ -192,9 +191,23 @@ class LinkModel(Model):
         """The same samples of another interpretation of the link."""
         return self._with(link=link)
 
-    def as_stamped(self) -> LinkModel:
-        """The same of channels that are known to be stamped as they are said to be."""
-        return self._with(stamped=True)
+    def clocked(self, rows: float, sigma: float) -> LinkModel:
+        """The same of an output that is so many rows late, known to ``sigma`` rows."""
+        link = self.link.with_timing(Timing.hypothesis({}, delay=rows * self.link.tick))
+        return self._with(link=link, timings=open_timings(link, sigma))
+
+    def as_timed(self) -> LinkModel:
+        """The same of a facility whose timing is known."""
+        return self._with(timings=())
+
+    def timing(self, of: Hypothesis) -> Timing:
+        """When the facility samples, obeys, stamps and steps under a hypothesis."""
+        pairs = zip(self.nuisances, of.nuisances, strict=False)
+        return Timing.hypothesis({}, **{n.name: float(v) for n, v in pairs})
+
+    def effects(self, of: Hypothesis) -> list[Effect]:
+        """The causes of a hypothesis, and the timing of the facility."""
+        return [*of.each(), *([self.timing(of)] if of.nuisances.any() else [])]
 
     def _with(self, **changed: Any) -> LinkModel:
         given = {
@@ -202,7 +215,7 @@ class LinkModel(Model):
             "members": self.members,
             "doubt": self.doubt,
             "colour": self._colour,
-            "stamped": self._stamped,
+            "timings": self.nuisances,
         }
         return LinkModel(**(given | changed))
 
@@ -243,7 +256,7 @@ class LinkModel(Model):
         return [(f"run {self.members[i]}", self.on(rest[i]), self.on([i])) for i in range(count)]
 
     def many(self, of: Sequence[Hypothesis]) -> list[RunResiduals]:
-        each = [h.each() for h in of]
+        each = [self.effects(h) for h in of]
         shown = iter(self.link.predict([(i, effects) for effects in each for i in self.members]))
         out = []
         for h, effects in zip(of, each, strict=True):
@@ -257,7 +270,8 @@ class LinkModel(Model):
                     logs += float(np.sum(np.log(ratio.ravel()[self._taken[n]])))
                     logs += noise.log_determinant - self._noise(i).log_determinant
             away = max(self._smoothed_away(h), 0.0)
-            priors = np.array([math.sqrt(2.0 * logs + away)])
+            eta = h.nuisances if len(h.nuisances) else np.zeros(len(self.nuisances))
+            priors = np.append(eta / self.prior_sigma(), math.sqrt(2.0 * logs + away))
             out.append(_without_outliers(RunResiduals(np.concatenate(z), self._starts, priors)))
         return out
 
@@ -295,9 +309,10 @@ class LinkModel(Model):
         Measurement Error Models, 1987).
         """
         out = 0.0
-        for i in self.members if of.causes and self.link.rounding else ():
+        effects = self.effects(of)
+        for i in self.members if effects and self.link.rounding else ():
             believed = self.link.passed_from_input(i, ())
-            found = self.link.passed_from_input(i, of.each())
+            found = self.link.passed_from_input(i, effects)
             if believed is not None and found is not None:
                 out += float(np.sum(self.weight[i] ** 2 * (believed - found)))
         return out
@@ -381,7 +396,7 @@ class LinkModel(Model):
     def departure(self, of: Hypothesis) -> list[Array]:
         """In units of the noise alone, without what the model may err by."""
         residual = Residual(self.link, self.members)
-        return [residual.compared(i, of.each()) for i in self.members]
+        return [residual.compared(i, self.effects(of)) for i in self.members]
 
     def leftovers(self, left: Sequence[Array]) -> dict[tuple[int, bool], Whiteness]:
         """What is left of each channel, in contact and outside it."""
@@ -443,7 +458,7 @@ class LinkModel(Model):
         """
         if not isinstance(self.link, WrenchLink):
             return False
-        effects = of.each()
+        effects = self.effects(of)
         fewer = [e for n, e in enumerate(effects) if n != index]
         shown = self.link.predict([(i, effects) for i in self.members])
         beside = self.link.predict([(i, fewer) for i in self.members])
@@ -468,7 +483,7 @@ class LinkModel(Model):
         logged, computed = self.link.logged, not isinstance(self.link, (WrenchLink, PlatformLink))
         if computed and logged is None:
             return []
-        shown = self.link.predict([(i, of.each()) for i in self.members])
+        shown = self.link.predict([(i, self.effects(of)) for i in self.members])
         late = math.hypot(0.0 if computed else TIME_ERROR, logged.delay_error if logged else 0.0)
         errors_of = [[late * np.gradient(s, axis=0) for s in shown]]
         if isinstance(self.link, WrenchLink):
@@ -501,20 +516,6 @@ class LinkModel(Model):
             self.link.runs[self.members[n]].measured[rows, c]
             for (n, c, _), rows in zip(self.groups, self.rows, strict=True)
         ]
-
-    def timings(self) -> tuple[Candidate, ...]:
-        """When the facility samples, obeys, stamps and steps, as nuisances."""
-        tick = self.link.tick
-        sigma, ends, starts = EVEN_SIGMA, (-LOGGER, LATEST_STAMP), STAMP_STARTS
-        if self._stamped:
-            sigma, ends = INSTANT_SIGMA, (-LATEST_INSTANT, LATEST_INSTANT)
-            starts = tuple(x for x in starts if abs(x) < LATEST_INSTANT)
-        out = [_nuisance(name, sigma, ends, starts, tick) for name in ("delay", "before")]
-        if self.link.name == "platform":
-            out.append(_nuisance("obeyed", INSTANT_SIGMA, (0.0, LATEST_INSTANT), (0.25,), tick))
-        if self.link.name == "dynamics":
-            out.append(_nuisance("old", EVEN_SIGMA, (0.0, MOST_OLD), (0.25, 0.75), 1.0))
-        return tuple(out)
 
 
 def _jitter(effects: Sequence[Effect]) -> float:
@@ -556,10 +557,26 @@ def _model_terms(run: LinkRun, shown: Array) -> Array:
     return np.concatenate([terms, late[:, :, None]], axis=2)
 
 
-def _nuisance(
-    name: str, sigma: float, ends: tuple[float, float], starts: Sequence[float], tick: float
-) -> Candidate:
-    """A shift of the timing; all numbers in rows."""
-    low, high, sigmas = (np.array([x * tick]) for x in (*ends, sigma))
-    grid = tuple((x * tick,) for x in starts)
-    return Candidate(Timing, (name,), low, high, np.zeros(1, bool), grid, sigma=sigmas)
+def open_timings(link: ModelLink, sigma: float = SHIFT_SIGMA) -> tuple[Nuisance, ...]:
+    """When the facility of a link samples, obeys, stamps and steps, as nuisances; ``sigma`` [rows]
+    of the shift between its output and its input.
+    """
+    tick = link.tick
+
+    def rows(
+        name: str, sigma: float, ends: tuple[float, float], starts: Sequence[float]
+    ) -> Nuisance:
+        least, most = (x * tick for x in ends)
+        return Nuisance(name, "s", sigma * tick, most, least, tuple(x * tick for x in starts))
+
+    # through the others noise passes, so that it matters whether the output or the input is late
+    names = ("delay",) if link.name in ("wrench", "platform") else ("delay", "before")
+    if sigma <= TIME_ERROR:  # clocks as exact as an integration in steps
+        names = ()
+    each = sigma / math.sqrt(max(len(names), 1))
+    out = [rows(name, each, (-REACH * each, REACH * each), STAMP_STARTS) for name in names]
+    if link.name == "platform":
+        out.append(rows("obeyed", INSTANT_SIGMA, (0.0, LATEST_INSTANT), (0.25,)))
+    if link.name == "dynamics":
+        out.append(Nuisance("old", "-", EVEN_SIGMA, MOST_OLD, 0.0, (0.25, 0.75)))
+    return tuple(out)

@@ -36,6 +36,7 @@ DELAY_ERROR = 0.005
 STARTS_PER_ORDER = 3  # chosen: starts of the search
 NELDER_MEAD_OPTIONS = {"xatol": 1e-3, "fatol": 1e-9, "maxiter": 150}
 RESPONSE_PERIODS = 2.0  # chosen: periods of the cut-off over which the filter responds to a jump
+EARLIEST = -1.5  # [rows] of a stamp: a row, by which loggers stamp early, and half a tick
 END_ROWS = 20  # chosen: at both ends that depend on rows outside the record
 
 
@@ -169,9 +170,10 @@ def low_pass_between(
     if least > MAX_RMS_RATIO**2 * left(before) or least > _interpolated(before, left):
         return None
     one = LowPass(order, _cutoff(x[0]))
-    late = min((float(x[1]), float(x[1]) - one.delay), key=abs)
-    # a larger shift is a stamp delay (log.skew)
-    return replace(one, prompt=late == float(x[1]), part=late if abs(late) < 1.0 else 0.0)
+    shift = float(x[1])
+    # stamps may be late by any time (log.skew), and early by what loggers are
+    late = min((x for x in (shift, shift - one.delay) if x > EARLIEST), key=abs, default=shift)
+    return replace(one, prompt=late == shift, part=late if abs(late) < 1.0 else 0.0)
 
 
 def _interpolated(values: Sequence[Array], left: Callable[[Sequence[Array]], float]) -> float:

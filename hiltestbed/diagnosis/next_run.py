@@ -37,11 +37,11 @@ from hiltestbed.diagnosis.link_model import LinkModel
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.plain import LINK_NAMES, entry
 from hiltestbed.diagnosis.result import Experiment, Finding
-from hiltestbed.effects.search import Candidate
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import TOLD_APART
 from hiltestbed.inference.likelihood import PosteriorFit
+from hiltestbed.inference.model import Hypothesis
 from hiltestbed.measured import MeasuredDataset
 from hiltestbed.signals import GROUPS
 
@@ -191,8 +191,13 @@ def _acting(finding: Finding) -> list[Mapping[str, Any]]:
 def _known(pair: OpenPair, k: int) -> Array:
     """H of the numbers of a fit, with the priors of its nuisances."""
     likelihood, of = pair.explanation.likelihood, pair.fits[k].of
-    (left,) = likelihood.lefts(of.causes, [of.theta])
-    return likelihood.normal(left, likelihood.slopes(of.causes, of.theta, left))[0]
+    (left,) = likelihood.lefts(of.causes, [_numbers(of)])
+    return likelihood.normal(left, likelihood.slopes(of.causes, _numbers(of), left))[0]
+
+
+def _numbers(of: Hypothesis) -> Array:
+    """(P + E,) of the causes of a hypothesis, and of its nuisances."""
+    return np.concatenate([of.theta, of.nuisances])
 
 
 def _changes(models: Sequence[LinkModel], pair: OpenPair, known: Sequence[Array]) -> list[Change]:
@@ -202,7 +207,7 @@ def _changes(models: Sequence[LinkModel], pair: OpenPair, known: Sequence[Array]
     out = []
     judged = [_as_judged(m, pair) for m in models]
     for k, (own, other) in enumerate((pair.fits, pair.fits[::-1])):
-        x = own.of.theta
+        x = _numbers(own.of)
         _, along, products = _about(judged, pair, own, other, x)
         scale = pair.explanation.likelihood.scale_of(own.causes, x)
         step = -np.linalg.lstsq(known[k] + products, along, rcond=1e-10)[0]
@@ -220,18 +225,17 @@ def _about(
     size, along, products = 0.0, np.zeros(len(x)), np.zeros((len(x), len(x)))
     for model in models:
         here = model.link.name == pair.explanation.link.name
-        likelihood = model.likelihood()
-        causes, at = _acting_on(own, here)
-        others, there = _acting_on(other, here)
-        (left,) = likelihood.lefts(causes, [x[at]])
-        (true,) = likelihood.lefts(others, [other.of.theta[there]])
-        scale = likelihood.scale_of(causes, own.of.theta[at])
-        slopes = likelihood.slopes(causes, x[at], left).samples
-        slopes *= (scale / likelihood.scale_of(causes, x[at]))[:, None]
-        d = left.samples - true.samples - ((x - own.of.theta)[at] / scale) @ slopes
+        likelihood = (model if here else model.as_timed()).likelihood()
+        at, there = (slice(None if here else len(f.of.theta)) for f in (own, other))
+        (left,) = likelihood.lefts(own.causes, [x[at]])
+        (true,) = likelihood.lefts(other.causes, [_numbers(other.of)[there]])
+        scale = likelihood.scale_of(own.causes, _numbers(own.of)[at])
+        slopes = likelihood.slopes(own.causes, x[at], left).samples
+        slopes *= (scale / likelihood.scale_of(own.causes, x[at]))[:, None]
+        d = left.samples - true.samples - ((x - _numbers(own.of))[at] / scale) @ slopes
         size += float(d @ d)
         along[at] += slopes @ d
-        products[np.ix_(at, at)] += slopes @ slopes.T
+        products[at, at] += slopes @ slopes.T
     return size, along, products
 
 
@@ -243,15 +247,6 @@ def _as_judged(model: LinkModel, pair: OpenPair) -> LinkModel:
     if isinstance(link, WrenchLink) and isinstance(judged, WrenchLink):
         model = model.through(link.as_interpreted(judged))
     return model.under(effects_of(pair.fits[0]))
-
-
-def _acting_on(fit: PosteriorFit, here: bool) -> tuple[tuple[Candidate, ...], np.ndarray]:
-    """The causes of a fit, without nuisances unless they are ``here``, and where their numbers
-    stand among those of the fit.
-    """
-    kept = [here or c.sigma is None for c in fit.causes]
-    at = np.flatnonzero(np.repeat(kept, [len(c.names) for c in fit.causes]))
-    return tuple(c for c, keep in zip(fit.causes, kept, strict=True) if keep), at
 
 
 def _separation(known: Sequence[Array], runs: Sequence[Sequence[Change]]) -> float:

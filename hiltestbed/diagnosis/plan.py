@@ -29,6 +29,7 @@ from hiltestbed.diagnosis.further import (
 )
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.isolability import Detectable, FisherInformation, alike, detectable
+from hiltestbed.diagnosis.link_model import SHIFT_SIGMA
 from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.errors import HiltestbedError
@@ -150,7 +151,8 @@ def plan(task: Scenario | LoadedDataset, progress: Progress | None = None) -> Pl
             missing[name] = "its replay of the nominal simulation leaves more than noise"
             continue
         told = labelled(progress, f"sizes, {LINK_NAMES[name]}")
-        model = found.timed()
+        # the clocks of a simulation are exact, those of the facility are not known yet
+        model = found.timed().clocked(0.0, SHIFT_SIGMA)
         every_effect = detectable(model.on(range(len(scenarios))), found.candidates, told)
         shown = [s for s in every_effect if s.size is not None]
         known = _LinkPlan(name, shown, FisherInformation(model, [s.effects for s in shown]))

@@ -31,7 +31,6 @@ from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.plain import entry
 from hiltestbed.diagnosis.recorded import DatasetLayout
 from hiltestbed.diagnosis.settings import MODEL_ERROR
-from hiltestbed.diagnosis.timing import delays_not_causes
 from hiltestbed.effects.base import Effect
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
@@ -65,14 +64,7 @@ def with_rebounds(findings: Findings) -> Findings:
     departing = {n: e for n, e in explanations.items() if e.departs}
     if not all(e.adequate for e in departing.values()):
         return findings  # what is not explained spoils the comparison
-    # what is attributed to the timing of the facility needs no decision
-    shifts = delays_not_causes(explanations)
-    open_ = [
-        n
-        for n, e in departing.items()
-        if not set(e.kinds) & {*shifts.get(n, ())}
-        and (n == "wrench" or any(c.others for c in e.causes))
-    ]
+    open_ = [n for n, e in departing.items() if n == "wrench" or any(c.others for c in e.causes)]
     rebounds = [_rebound(layout, i) for i in range(len(layout.runs))] if open_ else []
     words: list[str] = []
     for name in open_ if any(rebounds) else ():
@@ -105,7 +97,8 @@ class _Loop:
         """
         out = np.zeros(len(self.layout.runs))
         for n, i in enumerate(self.model.members):
-            variance, scenario = self.model.scatter(n, fit.of.each()), self.layout.runs[i].scenario
+            variance = self.model.scatter(n, self.model.effects(fit.of))
+            scenario = self.layout.runs[i].scenario
             if isinstance(self.model.link, WrenchLink) and variance is not None:
                 force = math.sqrt(2.0 * float(np.sum(variance[:, 2])))
                 out[i] = speed_noise(scenario, force, 1.0) / scenario.approach.velocity[2]
@@ -225,13 +218,13 @@ def speed_noise(scenario: Scenario, force: float, rows: float) -> float:
 
 
 def _others(explanations: Mapping[str, Explanation], name: str) -> list[Effect]:
-    known, shifts = set(explanations[name].kinds), delays_not_causes(explanations)
+    known = set(explanations[name].kinds)
     return [
         effect
         for n, e in explanations.items()
         if n != name and e.departs and e.adequate
         for effect in e.effects()
-        if effect.kind not in known and effect.kind not in shifts.get(n, ())
+        if effect.kind not in known
     ]
 
 

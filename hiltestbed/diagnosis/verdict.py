@@ -10,14 +10,13 @@ from hiltestbed.diagnosis.explain import Explanation
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.settings import MIN_DEPARTURE, MIN_EXPLAINED, MIN_RUN_SHARE
-from hiltestbed.diagnosis.timing import delays_not_causes
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import Confirmed
-from hiltestbed.inference.likelihood import PosteriorFit
-from hiltestbed.inference.model import places
+from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
+from hiltestbed.inference.model import Model, places
 
 MAX_RIVALS = 2  # that are listed for a cause; a set of more than three identifies nothing
 # share of a cause's size by which it may differ from run to run where something else acts as well
@@ -70,12 +69,11 @@ def decide(findings: Findings) -> Verdict:
     they do so on the one that departs most and leave more than noise.
     """
     explanations, missing = findings.explanations, findings.missing
-    timing = delays_not_causes(explanations)
     causes: list[Named] = []
     for name in (n for n in LINK_NAMES if n in explanations):
         e = explanations[name]
         found = e.causes if e.adequate else holding(e)
-        causes += [Named(name, c) for c in found if c.cause.kind not in timing.get(name, ())]
+        causes += [Named(name, c) for c in found]
     # contact and sensor, which come first, determine a stamp delay better
     once = [c for i, c in enumerate(causes) if c.effect not in {o.effect for o in causes[:i]}]
     causes = sorted(once, key=lambda c: -c.cause.gain)
@@ -109,23 +107,32 @@ def _contact_or_sensor(e: Explanation) -> str:
 
 def holding(e: Explanation) -> tuple[Confirmed, ...]:
     """The causes of an explanation that hold although more than noise is left: they have the same
-    size in most runs, each fitted alone; none where they explain too little on left-out runs, or
-    there are too few.
+    size in most runs, each fitted alone, and in both halves of these; none where they explain too
+    little on left-out runs, or there are too few.
 
-    A stand-in for an effect outside the vocabulary fits only the runs that it was fitted to: its
-    size differs from run to run. That of a cause is a constant of the rig.
+    A stand-in for an effect outside the vocabulary fits only what it was fitted to: its size
+    differs from run to run, or between loading and unloading. That of a cause is a constant of the
+    rig.
     """
     count, fit = len(e.model.members), e.fit
     if count < MIN_RUNS or explained(e) < MIN_EXPLAINED:
         return ()
     alone = [e.alone(n, fit)[1].of.theta for n in range(count)]
+    halves = [_fitted(half, fit) for half, _ in e.model.halves()]
     where = {c.key: own for c, own in zip(fit.causes, places(fit.causes), strict=True)}
 
     def same(cause: Candidate) -> bool:
         own = where[cause.key]
-        return _same(cause, fit.of.theta[own], [x[own] for x in alone])
+        parts = ([x[own] for x in fits] for fits in (alone, halves))
+        return all(_same(cause, fit.of.theta[own], part) for part in parts)
 
     return tuple(c for c in e.causes if same(c.cause))
+
+
+def _fitted(model: Model, fit: PosteriorFit) -> Array:
+    """The numbers of the causes of a fit, fitted to another model."""
+    likelihood = Likelihood(model, independent(model.residuals(fit.of), noise_known=True))
+    return likelihood.fit(fit.causes, [fit.of.theta], fit.of.nuisances).of.theta
 
 
 def _same(cause: Candidate, size: Array, alone: list[Array]) -> bool:

@@ -89,8 +89,6 @@ class Candidate:
             ln(choices) in chi-square.
         needs: parameters, as "kind:name", without which this one means nothing: it is a part of an
             effect to which they belong.
-        sigma: standard deviation of each parameter's prior, about 0, of a nuisance: a number that
-            is not known and not asked for; None: a cause.
     """
 
     effect: type[Departure]
@@ -103,7 +101,6 @@ class Candidate:
     variant: Mapping[str, Any] = field(default_factory=dict)
     choices: int = 1
     needs: tuple[str, ...] = ()
-    sigma: Array | None = None
 
     @property
     def kind(self) -> str:
@@ -121,6 +118,11 @@ class Candidate:
             for name, value in sorted(self.fixed.items())
             if isinstance(value, str)
         )
+
+    def unit(self, name: str) -> str:
+        """The unit of one of :attr:`names`; of one of the variant, which is a delay, seconds."""
+        key = name.partition(".")[0]
+        return self.effect.unit(key) if key in self.effect.model_fields else "s"
 
     @property
     def key(self) -> tuple:

@@ -17,8 +17,8 @@ from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
 from hiltestbed.inference.model import Hypothesis, Model, places
-from hiltestbed.inference.residuals import RunResiduals
-from hiltestbed.inference.search import Searched, extended, named, without
+from hiltestbed.inference.residuals import Changes, RunResiduals
+from hiltestbed.inference.search import SCREENED_STEPS, Searched, extended, named, without
 
 # of the rms on left-out runs, in the mean of its logarithm: what is worth less no test engineer
 # asks for
@@ -82,6 +82,7 @@ class SearchConclusion:
             it is left out, in the unit of the record, of the null and of the fit; alone: of a fit
             of the causes that are determined alone, None where all are. visited: what was compared
             by the likelihood. ends: (P, 2) of the 95 % intervals of the parameters of the fit.
+        judge: by which hypotheses are compared on left-out runs.
     """
 
     fit: PosteriorFit
@@ -93,6 +94,7 @@ class SearchConclusion:
     visited: tuple[PosteriorFit, ...]
     ends: Array
     likelihood: Likelihood
+    judge: LeftOut
 
 
 class LeftOut:
@@ -100,6 +102,7 @@ class LeftOut:
 
     def __init__(self, likelihood: Likelihood, folds: Sequence[Fold]) -> None:
         """folds: names, the runs to fit, and those that are left out."""
+        self._whole = likelihood
         self._known: dict[tuple[str, ...], list[PosteriorFit]] = {}
         counts = dict(zip(likelihood.model.runs, likelihood.counts, strict=True))
 
@@ -109,13 +112,29 @@ class LeftOut:
         self._folds = [(of(a), of(b)) for _, a, b in folds]
 
     def fits(self, found: PosteriorFit) -> list[PosteriorFit]:
-        """The hypothesis fitted to each set of runs."""
+        """The hypothesis fitted to each set of runs: where the noise is known, in a few steps by
+        the slopes of all runs, of which one more or less changes little.
+        """
         if found.keys not in self._known:
-            self._known[found.keys] = [
-                likelihood.fit(found.causes, [found.of.theta], found.of.nuisances)
-                for likelihood, _ in self._folds
-            ]
+            start = found.causes, [found.of.theta], found.of.nuisances
+            if self._whole.model.noise_known:
+                x = np.concatenate([found.of.theta, found.of.nuisances])
+                slopes = self._whole.slopes(found.causes, x, found.left)
+                fits = [
+                    a.fit(*start, SCREENED_STEPS, self._of_fold(slopes, found.left, a.model))
+                    for a, _ in self._folds
+                ]
+            else:
+                fits = [a.fit(*start) for a, _ in self._folds]
+            self._known[found.keys] = fits
         return self._known[found.keys]
+
+    def _of_fold(self, slopes: Changes, left: RunResiduals, model: Model) -> Changes:
+        """The slopes of the samples of all runs that a fold has."""
+        pairs = zip(self._whole.model.runs, zip(left.starts, left.rows, strict=True), strict=True)
+        places = dict(pairs)
+        each = [slopes.samples.T[s : s + n] for s, n in (places[run] for run in model.runs)]
+        return Changes(np.concatenate(list(map(model.kept, each))).T, slopes.priors)
 
     def rms(self, found: PosteriorFit) -> Array:
         """(F,) of each left-out part, as its owner would compare it, in the unit of the record."""
@@ -183,6 +202,7 @@ def conclude(
         found.visited,
         offered.ends,
         trial.likelihood,
+        judge,
     )
 
 
@@ -294,7 +314,7 @@ def _confirmed(
             Estimate(name, float(v), float(low), float(high))
             for name, v, (low, high) in zip(cause.names, fit.of.theta[own], ends, strict=True)
         )
-        if cause.sigma is not None or likelihood.model.negligible(fit.of, i):
+        if likelihood.model.negligible(fit.of, i):
             continue
         fewer = without(likelihood, fit, i)
         worse = _more_left(likelihood, fewer, fit) if trial.known else judge.score(fewer) - score

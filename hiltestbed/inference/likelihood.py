@@ -33,6 +33,7 @@ from hiltestbed.frames import Array
 from hiltestbed.inference.model import Hypothesis, Model, places
 from hiltestbed.inference.residuals import Changes, Gram, RunResiduals
 
+BEGUN = 3  # values of the nuisances from which a fit of nothing is begun, the best of their starts
 STEP = 1e-4  # of a parameter's scale, for differences: about the root of a kernel's round-off
 ITERATIONS = 40
 # change of every mean square below which a descent has converged; and of -2 log L: a hundredth of
@@ -47,6 +48,9 @@ SCAN, SCAN_POINTS, SCAN_END = 0.1, 21, 1e-3
 # of a mean square over that of the noise, from which a run departs; share of what is left of such
 # runs, in the mean logarithm of its rms, that a further cause has to remove
 DEPARTING, LEAST_SHARE = 2.0, 0.03
+# of the curvature of a number, that is added to it at first: so little that a direction that only
+# priors determine is followed at once
+LEAST_DAMPING = 1e-9
 NEAR = 1e-3  # of a range, within which an estimate stands at its end
 LEAST_COUNT = 4.0  # a run of which fewer samples are independent tells no variance
 
@@ -116,6 +120,8 @@ class Likelihood:
         # what moves change alone, of the samples and of the model's own priors, and further priors;
         # kept for all likelihoods of one model
         self._alone: dict[tuple[Any, ...], tuple[Any, Array, Array]] = {}
+        # of these counts, the fit where nothing departs
+        self._nothing: dict[bytes, PosteriorFit] = {}
         # (M,) of each sample the unit in which that is kept, and the present one over it
         self._unit, self._units = model.sample_weights(), 1.0
         self._squares = np.maximum(np.asarray(model.floors) ** 2, np.finfo(float).tiny)
@@ -139,6 +145,7 @@ class Likelihood:
         """
         out = copy(self)
         out.model, out._units = model, model.sample_weights() / self._unit
+        out._nothing = {}
         return out
 
     def forget(self) -> None:
@@ -151,15 +158,24 @@ class Likelihood:
         """
         low, high, log = _bounds(causes)
         most = np.array([n.most for n in self.model.nuisances])
+        least = np.array([-n.most if n.least is None else n.least for n in self.model.nuisances])
         return (
-            np.concatenate([low, -most]),
+            np.concatenate([low, least]),
             np.concatenate([high, most]),
             np.concatenate([log, np.zeros(len(most), bool)]),
         )
 
     def start(self) -> PosteriorFit:
         """Nothing departs, with the nuisances as the data have them."""
-        return self.fit((), [np.zeros(0)])
+        key = self.counts.tobytes()
+        if key not in self._nothing:
+            grid = itertools.product(*((0.0, *n.starts) for n in self.model.nuisances))
+            tried = [np.array(values) for values in grid]
+            costs = [self.cost(left) for left in self.lefts((), tried)]
+            best = [tried[i] for i in np.argsort(costs)[:BEGUN]]
+            fits = [self.fit((), [np.zeros(0)], eta) for eta in best]
+            self._nothing[key] = min(fits, key=lambda f: f.cost)
+        return self._nothing[key]
 
     def cost(self, left: RunResiduals) -> float:
         """-2 log of the likelihood of residuals, with the priors."""
@@ -228,8 +244,27 @@ class Likelihood:
             known: of the first causes, and last of the nuisances, about what the :meth:`slopes`
                 are: only those of the others are computed at first.
         """
-        causes = tuple(causes)
-        eta = np.zeros(len(self._sigma)) if nuisances is None else nuisances
+        causes, nothing = tuple(causes), np.zeros(len(self._sigma))
+        eta = nothing if nuisances is None else nuisances
+        found = self._fit_from(causes, starts, eta, iterations, known)
+        if not causes or not np.any(np.abs(eta := found.of.nuisances) > self._sigma):
+            return found
+        # what a time stands in for, a cause may explain
+        late = sum(v for v, n in zip(eta, self.model.nuisances, strict=True) if n.unit == "s")
+        times = np.array([c.unit(n) == "s" for c in causes for n in c.names])
+        starts = [found.of.theta + by * times for by in (0.0, late, -late)]
+        other = self._fit_from(causes, starts, nothing, iterations, known)
+        return min(found, other, key=lambda f: f.cost)
+
+    def _fit_from(
+        self,
+        causes: tuple[Candidate, ...],
+        starts: Sequence[Array],
+        eta: Array,
+        iterations: int,
+        known: Changes | None,
+    ) -> PosteriorFit:
+        """The maximum that is reached from values ``eta`` of the nuisances."""
         low, high, log = self.bounds(causes)
         begun = [np.clip(np.concatenate([theta, eta]), low, high) for theta in starts]
         shown = self.lefts(causes, begun)
@@ -255,12 +290,8 @@ class Likelihood:
         return self._many([(causes, x) for x in xs])
 
     def _many(self, points: Sequence[tuple[tuple[Candidate, ...], Array]]) -> list[RunResiduals]:
-        """Residuals of hypotheses, each with its numbers; to their priors those of causes that are
-        nuisances are added.
-        """
-        of = [self._at(causes, x) for causes, x in points]
-        pairs = zip(self.model.many(of), of, strict=True)
-        return [left.with_priors(_in_priors(h)) for left, h in pairs]
+        """Residuals of hypotheses, each with its numbers."""
+        return self.model.many([self._at(causes, x) for causes, x in points])
 
     def _at(self, causes: tuple[Candidate, ...], x: Array) -> Hypothesis:
         count = len(x) - len(self._sigma)
@@ -337,11 +368,12 @@ class Likelihood:
 
     def scale(self, x: Array, low: Array, high: Array, log: np.ndarray) -> Array:
         """Of each number, in which it is differentiated and limited: its size, but not less than a
-        hundredth of its range; of a nuisance its standard deviation.
+        hundredth of its range; of a nuisance, than its standard deviation.
         """
         width = np.where(np.isfinite(high - low), high - low, 1.0)
         out = np.where(log, np.abs(x), np.maximum(np.abs(x), 0.01 * width))
-        out[len(x) - len(self._sigma) :] = self._sigma
+        nuisances = slice(len(x) - len(self._sigma), None)
+        out[nuisances] = np.maximum(np.abs(x[nuisances]), self._sigma)
         return out
 
     def promises(
@@ -471,7 +503,7 @@ class Likelihood:
         and differenced again where a step with them fails.
         """
         low, high, log = bounds
-        damping, fresh = 1e-3, False
+        damping, fresh = LEAST_DAMPING, False
         for _ in range(iterations):
             if not len(x) or not math.isfinite(cost):
                 break
@@ -500,7 +532,7 @@ class Likelihood:
             )
             x, left, cost = moved, shown, new
             if gain < min(CONVERGED * float(self.counts.sum()), LEAST_CHANGE):
-                if fresh:
+                if fresh or iterations < ITERATIONS:
                     break
                 slopes = None
                 continue
@@ -525,7 +557,7 @@ class Likelihood:
             shown = self._left(causes, moved)
             new = self.cost(shown)
             if new < cost:
-                return moved, shown, new, max(damping / 10.0, 1e-9)
+                return moved, shown, new, max(damping / 10.0, LEAST_DAMPING)
             damping = max(damping, 1e-4) * 8.0
         return None
 
@@ -554,17 +586,9 @@ def _at_end(causes: Sequence[Candidate], x: Array) -> bool:
         at, low, high = ends
         width = NEAR * (high - low)
         lowest = (at <= low + width) & (c.log | (c.low < 0.0))
-        free = ~c.log & (c.sigma is not None)
-        if np.any(((at >= high - width) | lowest) & ~free):
+        if np.any((at >= high - width) | lowest):
             return True
     return False
-
-
-def _in_priors(h: Hypothesis) -> Array:
-    """The numbers of the causes that are nuisances, in standard deviations of their priors."""
-    pairs = zip(h.causes, places(h.causes), strict=True)
-    own = [h.theta[place] / c.sigma for c, place in pairs if c.sigma is not None]
-    return np.concatenate([np.zeros(0), *own])
 
 
 def _bounds(causes: Sequence[Candidate]) -> tuple[Array, Array, np.ndarray]:

@@ -23,13 +23,16 @@ FEWEST = 3  # runs of which each can be left out: two others still tell what dif
 @dataclass(frozen=True)
 class Nuisance:
     """A number that is not known and not asked for, such as a time-stamp offset: 0 as believed,
-    with a Gaussian prior of standard deviation ``sigma`` in ``unit``, that ends at ``most``.
+    with a Gaussian prior of standard deviation ``sigma`` in ``unit``, that ends at ``most`` and at
+    ``least``, by default minus that. starts: where else than at 0 a descent may begin.
     """
 
     name: str
     unit: str
     sigma: float
     most: float
+    least: float | None = None
+    starts: tuple[float, ...] = ()
 
 
 def places(causes: Sequence[Candidate]) -> list[slice]:
@@ -97,6 +100,10 @@ class Model(ABC):
         less no more of its zero than the prior allows.
         """
         return self.residuals(of)[:-1]
+
+    def kept(self, x: Array) -> Array:
+        """Of (N,) samples of a run those that the model has."""
+        return x
 
     @abstractmethod
     def departure(self, of: Hypothesis) -> list[Array]:
@@ -200,26 +207,26 @@ class Part(Model):
         self.stretches, self.axes = whole.stretches, whole.axes
         self.noise_known = whole.noise_known
 
-    def _rows(self, x: Array) -> Array:
+    def kept(self, x: Array) -> Array:
         block = np.arange(len(x)) * self.cut.stretches // len(x)
         return x[(block % self.cut.folds == self.fold) == self.inside]
 
     def residuals(self, of: Hypothesis) -> list[Array]:
         *left, priors = self.whole.residuals(of)
-        return [*map(self._rows, left), priors]
+        return [*map(self.kept, left), priors]
 
     def many(self, of: Sequence[Hypothesis]) -> list[RunResiduals]:
         parts = self.whole.many(of)
-        return [RunResiduals.of([*map(self._rows, x[:-1]), x.priors]) for x in parts]
+        return [RunResiduals.of([*map(self.kept, x[:-1]), x.priors]) for x in parts]
 
     def scored(self, of: Hypothesis) -> list[Array]:
-        return [self._rows(x) for x in self.whole.scored(of)]
+        return [self.kept(x) for x in self.whole.scored(of)]
 
     def departure(self, of: Hypothesis) -> list[Array]:
-        return [self._rows(x) for x in self.whole.departure(of)]
+        return [self.kept(x) for x in self.whole.departure(of)]
 
     def measured(self) -> list[Array]:
-        return [self._rows(x) for x in self.whole.measured()]
+        return [self.kept(x) for x in self.whole.measured()]
 
     def in_time(self) -> Model | None:
         moved = self.whole.in_time()

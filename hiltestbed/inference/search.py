@@ -62,7 +62,7 @@ def search(
         before: what this likelihood has visited already. more: causes that may be added, one at a
             time, and none put in the place of others; None: all of the above.
     """
-    likelihood = likelihood.choosing(max(1, len({c.kind for c in candidates if c.sigma is None})))
+    likelihood = likelihood.choosing(max(1, len({c.kind for c in candidates})))
     null, visited = likelihood.start(), {f.keys: f for f in before}
     best = null if start is None else start
     if best.keys not in visited:

@@ -30,11 +30,12 @@ def candidate(
 
 
 def of_preload(most: float = 50.0) -> Explanation:
-    """A preload and a bias on z, found again among just these."""
+    """A preload and a bias on z, found again among just these, by clocks that are known."""
     bias = effect("sensor.bias", force=(0.0, 0.0, BIAS), torque=(0.0, 0.0, 0.0))
     link = contact_link([effect("contact.preload", force=PRELOAD), bias], speeds=(0.03, 0.05))
     offset = candidate("sensor.bias", ("force.2",), -10.0, 10.0, torque=(0.0, 0.0, 0.0))
-    return explain(LinkModel(link), (candidate("contact.preload", ("force",), 0.0, most), offset))
+    preload = candidate("contact.preload", ("force",), 0.0, most)
+    return explain(LinkModel(link).as_timed(), (preload, offset))
 
 
 @pytest.fixture(scope="module")

@@ -63,7 +63,6 @@ def test_an_explanation_that_leaves_the_rebound_where_it_was_is_not_one(
         model=Fake(leaves_noise=lambda left: True, folds=list, members=()),
         likelihood=None,
     )
-    monkeypatch.setattr(rebound, "delays_not_causes", lambda explanations: {})
     findings: Any = Fake(
         layout=Fake(runs=[Fake(scenario=scenario)] * 4), explanations={"wrench": found}, weighed=()
     )
@@ -76,6 +75,6 @@ def test_an_explanation_that_leaves_the_rebound_where_it_was_is_not_one(
 def test_a_clock_that_is_off_has_a_price() -> None:
     """Half a millisecond in a contact of w = 16 rad/s is (pi/2) w tau = 1.2 % of the rebound."""
     price = 0.5 * math.pi * 15.8 * 5e-4
-    offset = ClockOffset("pose_act", "pose_cmd", 0.5, 5e-4, None, price)
+    offset = ClockOffset("pose_act", "pose_cmd", 0.5, 5e-4, price)
     assert "0.5 rows (0.0005 s) late relative to pose_cmd" in offset.sentence()
     assert "changes the coefficient of restitution by +1.2 %" in offset.sentence()

@@ -129,7 +129,8 @@ def test_a_friction_that_is_the_believed_one_is_not_named_for_the_lever_that_it_
     found = explained(sliding(1.0), "sensor.delay", "contact.surface_friction")
     assert [c.cause.kind for c in found.causes] == ["sensor.delay"]
     assert found.adequate
-    assert found.causes[0].estimates[0].value == pytest.approx(LATE, abs=5e-6)
+    # a stamp that is not known to a row shares it, to a hundredth of a row
+    assert found.causes[0].estimates[0].value == pytest.approx(LATE, abs=1e-5)
 
 
 def test_a_late_sensor_and_a_late_record_are_rivals_where_nothing_shows_what_became_of_the_force() -> (

@@ -4,6 +4,7 @@ is found beside them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace as Fake
@@ -18,7 +19,12 @@ from hiltestbed.diagnosis.explain import explain
 from hiltestbed.diagnosis.find import Judged, judge
 from hiltestbed.diagnosis.floors import smooth_levels
 from hiltestbed.diagnosis.investigate import investigate
-from hiltestbed.diagnosis.link_model import LinkModel
+from hiltestbed.diagnosis.link_model import (
+    INSTANT_SIGMA,
+    SHIFT_SIGMA,
+    TIME_ERROR,
+    LinkModel,
+)
 from hiltestbed.diagnosis.links import DynamicsLink, Timing
 from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.measured import load_dataset
@@ -109,25 +115,15 @@ def test_a_cause_is_named_beside_instants_and_stamps_that_are_off(tmp_path: Path
     assert timing.shift_rows(found.findings.explanations["wrench"]) == pytest.approx(-0.1, abs=0.02)
 
 
-def explained(
-    *effects: tuple[str, dict[str, Any]], shift: Timing = NO_SHIFT, rival: Any = None
-) -> Any:
+def explained(*effects: tuple[str, dict[str, Any]], shift: Timing = NO_SHIFT) -> Any:
     """An explanation with these causes, under the timing ``shift``."""
-    causes = [
-        Fake(effect=effect(kind, **given), others=() if rival is None else (rival,))
-        for kind, given in effects
-    ]
     return Fake(
         departs=bool(effects),
         adequate=True,
-        causes=causes,
         kinds=tuple(kind for kind, _ in effects),
         timing=lambda: shift,
         link=Fake(tick=H, runs=[Fake(scenario=scenario())]),
     )
-
-
-SOFTER = ("contact.stiffness", {"factor": 0.8})
 
 
 def test_a_stamp_and_the_instants_of_encoder_and_platform_are_told_from_a_mode() -> None:
@@ -141,65 +137,56 @@ def test_a_stamp_and_the_instants_of_encoder_and_platform_are_told_from_a_mode()
     assert [values["frequency"], values["damping_ratio"]] == pytest.approx([9.3, 0.1], rel=0.01)
 
 
-def test_a_part_of_a_tick_is_a_cause_alone_and_none_beside_others() -> None:
-    late = ("platform.delay", {"delay": 0.6 * H})
-    alone = {"platform": explained(late), "wrench": explained()}
-    assert timing.delays_not_causes(alone) == {}
-    beside = alone | {"wrench": explained(SOFTER)}
-    assert timing.delays_not_causes(beside) == {"platform": {"platform.delay": pytest.approx(0.6)}}
-    assert "platform.delay" in timing.clock_offsets(beside)[0].sentence()
+def loop(**shifts: float) -> dict[str, Any]:
+    """Explanations of all links, those named late by so many rows."""
+    given = {n: Timing(delay=shifts.get(n, 0.0) * H) for n in timing.LINK_CHANNELS}
+    return {name: explained(shift=shift) for name, shift in given.items()}
+
+
+def test_stamps_cancel_around_the_loop() -> None:
+    """What the other links are late in sum, the last one is early, but for the instants at which
+    the facility reads and obeys; old twists are no stamps.
+    """
+    found = loop(platform=0.57, compensation=0.07, dynamics=0.61)
+    found["dynamics"] = explained(shift=Timing(delay=0.61 * H, old=0.3))
+    mean, sigma = timing.clocks_of("wrench", found)
+    assert mean == pytest.approx(-1.25)
+    assert sigma == pytest.approx(math.sqrt(2.0) * INSTANT_SIGMA)
+
+
+def test_where_all_other_clocks_are_exact_the_last_one_is() -> None:
+    assert timing.clocks_of("wrench", loop()) == (0.0, 0.0)
+
+
+def test_of_a_link_alone_a_stamp_is_known_to_what_loggers_do() -> None:
+    assert timing.clocks_of("wrench", {"wrench": explained()}) == pytest.approx((0.0, SHIFT_SIGMA))
+
+
+def test_a_link_with_a_delay_tells_nothing_of_stamps() -> None:
+    found = loop(platform=1.0)
+    found["dynamics"] = explained(("dynamics.step_delay", {"ticks": 1}))
+    mean, sigma = timing.clocks_of("wrench", found)
+    assert mean == 0.0
+    assert sigma == pytest.approx(math.sqrt(0.5))
 
 
 @pytest.mark.parametrize(
-    ("ticks", "platform", "cause"),
+    ("shifts", "causes", "again"),
     [
-        (1, 0.0, True),
-        # a platform cannot be early: its command is stamped late, of which its own instants may
-        # take back a part
-        (1, -1.0, False),
-        (1, -0.4, False),
-        (2, -1.0, True),
-    ],
-)
-def test_whole_ticks_are_causes_unless_another_link_takes_them_back(
-    ticks: int, platform: float, cause: bool
-) -> None:
-    found = timing.delays_not_causes(
-        {
-            "platform": explained(shift=Timing(delay=platform * H)),
-            "wrench": explained(SOFTER),
-            "dynamics": explained(("dynamics.step_delay", {"ticks": ticks})),
-        }
-    )
-    assert found == ({} if cause else {"dynamics": {"dynamics.step_delay": ticks}})
-
-
-@pytest.mark.parametrize(
-    ("shifts", "causes", "delayed"),
-    [
-        ({"dynamics": 1.0}, {}, ["dynamics"]),
+        ({"dynamics": 1.0}, {}, True),
         # within a tick a facility may obey when it likes
-        ({"dynamics": 0.4}, {}, []),
+        ({"dynamics": 0.4}, {}, False),
         # wrench_comp is stamped a row early
-        ({"dynamics": 1.0, "compensation": -1.0}, {}, []),
-        # what the link beside shows is not known while something departs there
-        ({"dynamics": 1.0}, {"platform": SOFTER}, []),
+        ({"dynamics": 1.0, "compensation": -1.0}, {}, False),
+        ({}, {"dynamics": ("dynamics.step_delay", {"ticks": 1})}, True),
     ],
 )
-def test_an_offset_that_no_other_link_of_its_channels_shows_is_a_delay(
-    shifts: dict[str, float], causes: dict[str, tuple[str, dict[str, Any]]], delayed: list[str]
+def test_an_offset_that_the_other_links_do_not_share_is_a_delay(
+    shifts: dict[str, float], causes: dict[str, tuple[str, dict[str, Any]]], again: bool
 ) -> None:
     """A channel that is stamped off is the output of one link and the input of the next."""
-    found = {
-        name: explained(
-            *([causes[name]] if name in causes else []),
-            shift=Timing(delay=shifts.get(name, 0.0) * H),
-        )
-        for name in timing.LINK_CHANNELS
-    }
-    assert timing.stamped_alone(found) == delayed
-    # without the record of a channel nobody knows
-    assert timing.stamped_alone({n: e for n, e in found.items() if n != "compensation"}) == []
+    found = loop(**shifts) | {name: explained(cause) for name, cause in causes.items()}
+    assert ("dynamics" in timing.judged_again(found)) == again
 
 
 @pytest.mark.parametrize("late", [0, 1])
@@ -214,41 +201,13 @@ def test_a_tick_of_delay_is_one_where_the_channels_are_known_to_be_stamped_right
         runs.append(link_run(scenario(), shown + rng.normal(0.0, 1e-9, shown.shape), 1e-9))
     model = LinkModel(DynamicsLink(runs, wrenches))
     causes = candidates("dynamics.step_delay", "dynamics.mass")
-    alone, beside = explain(model, causes), explain(model.as_stamped(), causes)
+    alone, beside = explain(model, causes), explain(model.clocked(0.0, TIME_ERROR), causes)
     assert alone.kinds == ()
     assert timing.shift_rows(alone) == pytest.approx(late, abs=0.01)
     assert beside.kinds == ("dynamics.step_delay",) * late
     assert timing.shift_rows(beside) == pytest.approx(0.0, abs=0.01)
     assert alone.adequate
     assert beside.adequate
-
-
-@pytest.mark.parametrize(("rows", "cause"), [(0.4, False), (3.0, True)])
-def test_what_cannot_be_told_from_a_part_of_a_tick_is_no_cause(rows: float, cause: bool) -> None:
-    (late,) = (c for c in candidates("platform.delay") if not c.variant)
-    rival = Fake(of=Fake(each=lambda: [late.at(np.array([rows * H]))]))
-    lag = explained(("platform.lag", {"bandwidth": 90.0}), rival=rival)
-    found = timing.delays_not_causes({"platform": lag, "wrench": explained(SOFTER)})
-    assert found == ({} if cause else {"platform": {"platform.lag": pytest.approx(rows)}})
-
-
-@pytest.mark.parametrize(
-    ("delay", "stamped", "cause"), [(1.45, 1.0, False), (1.45, 0.0, True), (2.45, 1.0, True)]
-)
-def test_a_delay_counts_beyond_what_stamps_take_back_around_the_loop(
-    delay: float, stamped: float, cause: bool
-) -> None:
-    """The command is stamped a row early: the platform is late by that, and by the parts of a tick
-    that need no fault.
-    """
-    found = timing.delays_not_causes(
-        {
-            "platform": explained(("platform.delay", {"delay": delay * H})),
-            "dynamics": explained(shift=Timing(delay=-stamped * H)),
-            "wrench": explained(SOFTER),
-        }
-    )
-    assert (found == {}) is cause
 
 
 @pytest.mark.parametrize(("seed", "latched"), [(810008, False), slow(810066, True)])

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from hiltestbed.diagnosis.links.base import (
-    NO_SHIFT,
     Effects,
     Lane,
     LinkRun,
@@ -29,11 +28,9 @@ from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.replay import replay_platform
 from hiltestbed.replay.stiction import ON_AN_INSTANT
 
-# chosen: ticks: uncertainty of the instant of a jump, since how a facility divides a tick is not
-# known
-JUMP_INSTANT_ERROR = 0.25
-# chosen: ticks: the same where it reads the pose at another instant than it is stamped at, too
-JUMP_READING_ERROR = 0.5
+# ticks: largest error of the instant of a jump, since how a facility divides a tick, and at which
+# instant it reads the pose, is not known
+JUMP = 0.5
 
 
 class PlatformLink(ModelLink):
@@ -99,21 +96,20 @@ class PlatformLink(ModelLink):
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, 6) uncertainty of where a platform jumps, bends or stops.
 
-        With stiction: its change in rows whose jump may have come a row sooner or later. Where its
-        input is stamped between rows: its bend within half a tick, which interpolation cuts off.
-        None otherwise.
+        With stiction: its change in rows whose jump may have come sooner or later. Where its input
+        is stamped between rows: what interpolation cuts off its bend, which is most half way. None
+        otherwise.
         """
-        timing = self.timing_with(effects)
         if any(isinstance(e, PlatformFriction) for e in effects):
-            error = JUMP_INSTANT_ERROR if timing == NO_SHIFT else JUMP_READING_ERROR
-            late = [PlatformDelay.hypothesis({}, delay=d * self.tick) for d in (-error, error)]
+            late = [PlatformDelay.hypothesis({}, delay=d * self.tick) for d in (-JUMP, JUMP)]
             early, after = self.predict([(i, [*effects, d]) for d in late])
             return np.abs(after - early)
-        if not timing.before:
+        part = abs(self.timing_with(effects).before / self.tick) % 1.0
+        if not part:
             return None
         half = [Timing(delay=d * self.tick) for d in (-0.5, 0.5)]
         early, after, now = self.predict([*((i, [*effects, d]) for d in half), (i, effects)])
-        return np.abs(early + after - 2.0 * now)
+        return 4.0 * part * (1.0 - part) * np.abs(early + after - 2.0 * now)
 
     def paths(self, effects: Effects) -> list[Array]:
         """(N, 7) poses reached in each run, with the commanded attitude, as stamped."""
