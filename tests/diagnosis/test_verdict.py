@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.explain import Explanation
+from hiltestbed.diagnosis.explain import Explanation, explain
 from hiltestbed.diagnosis.find import cause_of, heldout
 from hiltestbed.diagnosis.investigate import Findings
+from hiltestbed.diagnosis.link_model import LinkModel
 from hiltestbed.diagnosis.verdict import Named, decide
 
 from .made import H, candidates, contact_link, effect, reread
@@ -30,7 +31,9 @@ SPEEDS = (0.02, 0.03, 0.045)
 
 
 def explained(*hidden: Any, kinds: tuple[str, ...] = WEIGHED) -> Explanation:
-    return explained_link(contact_link(hidden, speeds=SPEEDS), *kinds)
+    """By clocks that are known."""
+    link = contact_link(hidden, speeds=SPEEDS)
+    return explain(LinkModel(link).as_timed(), candidates(*kinds))
 
 
 def findings(missing: dict[str, str] | None = None, **explanations: Explanation) -> Findings:
