@@ -147,7 +147,10 @@ def columns(m, p, used, rows):
                 part = t - (j - 1)
                 x[e] = m.s[j - 1] + part * (m.s[j] - m.s[j - 1]) - p[POINT]
                 v[e] = m.u[j] if m.held else m.u[j - 1] + part * (m.u[j] - m.u[j - 1])
-                if early + e < p[ONSET] or (x[e] <= 0.0 and v[e] <= 0.0):
+                # a contact does not pull: with the coefficients of the last solution
+                force = p[STIFFNESS] * x[e] + p[DAMPING] * v[e] + p[DEEPENING] * x[e] * v[e]
+                force += p[STOP] * max(x[e] - p[KNOT], 0.0)
+                if early + e < p[ONSET] or force < 0.0 or (x[e] <= 0.0 and v[e] <= 0.0):
                     x[e], v[e] = 0.0, 0.0
             part, row = at - early, rows[i]
             row[0] = (1.0 - part) * x[0] + part * x[1]
@@ -198,12 +201,10 @@ def _deviance(chi, n):
 
 @njit(cache=True)
 def _scatter(m, p, used, rows):
-    """Weigh the samples by the scatter of the instants at which they acted, SCATTER; one at which
-    the law would pull, which no contact does, says that and no more.
-    """
+    """Weigh the samples by the scatter of the instants at which they acted, SCATTER."""
     n = m.s.shape[0]
     columns(m, p, used, rows)
-    size, rest, slope, pull = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    size, rest, slope = np.zeros(n), np.zeros(n), np.zeros(n)
     for i in range(m.first, n):
         for c in range(LINEAR):
             if used[c]:
@@ -213,13 +214,12 @@ def _scatter(m, p, used, rows):
         before = size[i] - size[i - 1]
         after = size[i + 1] - size[i] if i + 1 < n else before
         slope[i] = 0.5 * (before * before + after * after) / m.variance
-        pull[i] = min(size[i], 0.0) ** 2 / m.variance
     best, count = np.inf, n - m.first
     for q in range(SCATTERS):
         sd = 0.0 if q == 0 else LEAST_SCATTER * 2.0 ** (q - 1)
         chi, out = 0.0, math.log(2.0 * count) if q > 0 else 0.0
         for i in range(m.first, n):
-            wide = 1.0 + sd * sd * slope[i] + pull[i]
+            wide = 1.0 + sd * sd * slope[i]
             chi += rest[i] / wide
             out += math.log(wide)
         out += _deviance(chi, count)
@@ -227,7 +227,7 @@ def _scatter(m, p, used, rows):
             best = out
             p[SCATTER] = sd
     for i in range(n):
-        m.weight[i] = 1.0 / (1.0 + p[SCATTER] ** 2 * slope[i] + pull[i])
+        m.weight[i] = 1.0 / (1.0 + p[SCATTER] ** 2 * slope[i])
 
 
 @njit(cache=True, inline="always")
