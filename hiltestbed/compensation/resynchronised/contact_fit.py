@@ -9,10 +9,13 @@ least-squares problem for
     F = k x + c v + e x v + s (x - a)             in contact, x from the touch point
 
 with e: damping that grows with the depth (K. Hunt, F. Crossley, J. Appl. Mech. 42, 1975), s: a stop
-beyond the depth a. No coefficient is negative. F is linear in k, c, e and s, which are solved for
-(variable projection: G. Golub, V. Pereyra, SIAM J. Numer. Anal. 10, 1973); the others are found by
-Levenberg-Marquardt steps. The force is computed at steps of the physics, so the step at which it
-sets in is a whole number, searched beside the touch point.
+beyond the depth a. No coefficient is negative, and no contact pulls. The low-pass is of first
+order, analogue or digital. Instants that scatter make a sample say less where the force changes.
+
+F is linear in k, c, e and s, which are solved for (variable projection: G. Golub, V. Pereyra, SIAM
+J. Numer. Anal. 10, 1973); the others are found by Levenberg-Marquardt steps. The force is computed
+at steps of the physics, so the step at which it sets in is a whole number, searched beside the
+touch point.
 
 Which unknowns there are is a choice between nested models. The simplest, k and c with all else as
 told, is compared with those that have one unknown more, the best of these with those that have two,
@@ -23,7 +26,8 @@ Comput. 4, 1992)::
 
 with the Jacobian J of the n samples, the priors' standard deviations S, and f >= 1, the factor by
 which the best fit says that the variance is larger than the noise's. An unknown that the samples do
-not show does not pay for its determinant, and stays as told.
+not show does not pay for its determinant, and stays as told. All models of as many unknowns are as
+likely beforehand.
 """
 
 from __future__ import annotations
@@ -44,10 +48,10 @@ ONSET, DIGITAL, SCATTER, CHI, COST, SPREAD, SOLUTION = range(UNKNOWNS, UNKNOWNS 
 LINEAR = 4
 GROWS = (DELAY, POINT, LAG, DEEPENING, STOP, RATE)  # unknowns beyond k and c
 CERTAIN = 3.84  # rise of chi-square at the ends of a 95 % interval of one parameter
-REFUSED = 9.0  # fall of chi-square: three standard deviations of one parameter
+ENOUGH = 3.0  # standard deviations of a right model's chi-square: nothing is left to be explained
 TOUCH_SD = 5e-5  # [m] of the touch point of a known or flat surface: that of a good alignment
-# of the told delay: what facilities report for an amplifier or a bus not measured. The same for a
-# low-pass nobody told of, and for a delay's change over the contact
+# of the told delay: what facilities report for an amplifier or a bus not measured; also for its
+# change over the contact
 DELAY_SD = 0.3
 # [ticks] time constant of a low-pass with a tenth of the rate as its corner: the lowest that a
 # sampled loop is built with
@@ -68,10 +72,11 @@ class ContactWindow(NamedTuple):
     """A contact so far, at ticks, ``(n,)``.
 
     s, u: position [m] and rate [m/s] along the gradient. y: force as read [N]. variance: of its
-    noise [N^2]. first: the first sample that counts. felt: the first that exceeds the noise.
-    substeps: in a tick, between which the sensor interpolates. held: whether the rate is constant
-    within a tick. lag, digital: [ticks] time constant and kind of the told low-pass. leak: (2,) of
-    the sensor's high-pass. told: [ticks]. expected: [m] touch point.
+    noise [N^2]. weight: of each sample, 1 with that noise. first: the first sample that counts.
+    felt: the first that exceeds the noise. substeps: in a tick, between which the sensor
+    interpolates. held: whether the rate is constant within a tick. lag, digital: [ticks] time
+    constant and kind of the told low-pass. leak: (2,) of the sensor's high-pass. told: [ticks].
+    expected: [m] touch point.
     """
 
     s: Array
@@ -602,7 +607,7 @@ def fit(m, free, best, used):
     best[:], used[:], now[:] = told, mine, told
     child, better = np.empty(SOLUTION), np.empty(SOLUTION)
     dof = n - m.first
-    enough = dof + REFUSED / 3.0 * math.sqrt(2.0 * dof)
+    enough = dof + ENOUGH * math.sqrt(2.0 * dof)
     choice, idle = np.zeros(len(GROWS) + 1), 0
     for level in range(len(GROWS)):
         better[COST] = np.inf

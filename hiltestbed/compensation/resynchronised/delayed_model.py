@@ -30,8 +30,7 @@ FIRST_FIT = 8  # samples of contact: twice the unknowns of the richest law
 # at which the next re-run and the next fit are due, tick of the first reading of this contact.
 DONE, DELAYED, ANCHOR, NEXT_RERUN, NEXT_FIT, FELT, TICK = range(7)
 # Columns of ``told``: what was believed when this contact began: delay [s], half the width of its
-# interval [s], touch point [m], time constant [ticks] of the low-pass and
-# whether it is a digital one.
+# interval [s], touch point [m], time constant [ticks] of the low-pass and whether it is digital.
 BELIEVED, HALF_WIDTH, EXPECTED, SMOOTHED, DIGITAL, TOLD = range(6)
 # Columns of ``drift``: of the delay a tick, and the tick at which it is the one in ``delay``.
 SLOPE, SINCE, DRIFT = range(3)
@@ -66,8 +65,11 @@ def along(fixed, line, x):
 @njit(cache=True, inline="always")
 def _delay(i, m, k):
     """Delay [ticks] of the reading at tick ``k``."""
-    state = m.state
-    return state.delay[i] / m.tick + state.drift[i, SLOPE] * (k - state.drift[i, SINCE])
+    delay, drift, told = m.state.delay[i] / m.tick, m.state.drift[i], m.state.told[i, BELIEVED]
+    if drift[SLOPE] == 0.0:
+        return delay
+    delay += drift[SLOPE] * (k - drift[SINCE])
+    return min(max(delay, cf.NARROW * told / m.tick), cf.WIDE * told / m.tick)
 
 
 @njit(cache=True, inline="always")
@@ -117,6 +119,8 @@ def identify(i, m, work, rows):
     if y <= GATE_SIGMA * setup.sigma[i, 0] or y <= gate * fit[ce.PEAK]:
         if fixed and count[ce.ABOVE] >= FIRST_FIT and state.told[i, BELIEVED] > 0.0:
             _refit(i, m, work, rows)  # the contact is over, and all is seen of it
+        elif count[ce.ABOVE] == 0:
+            _hold(i, m, k)
         if count[ce.ABOVE] > 0 and not fixed:
             law[ce.ARMED] = 0.0  # the next contact may be elsewhere on the surface
         count[ce.ABOVE] = 0
@@ -152,9 +156,8 @@ def _take(i, m, rows, y):
 def _touched(i, m, s, u, work):
     """Start a contact: save the state for a re-run."""
     state, tick, law = m.state, m.state.tick[i], m.state.law[i]
-    told, drift = state.told[i], state.drift[i]
-    state.delay[i] = m.tick * _delay(i, m, tick[DONE])
-    drift[SLOPE], drift[SINCE] = 0.0, tick[DONE]
+    told = state.told[i]
+    _hold(i, m, tick[DONE])
     told[BELIEVED], told[HALF_WIDTH] = state.delay[i], state.delay_half_width[i]
     told[SMOOTHED], told[DIGITAL] = state.lag[i, 0], state.lag[i, 1]
     told[EXPECTED] = law[ce.TOUCH] if law[ce.ARMED] == 1.0 else 0.0
@@ -172,6 +175,15 @@ def _anchor(i, state):
     state.v[i, 1] = state.v[i, 0]
     state.filtered[i, 1] = state.filtered[i, 0]
     state.tick[i, ANCHOR] = state.tick[i, DELAYED]
+
+
+@njit(cache=True, inline="always")
+def _hold(i, m, k):
+    """No sample shows how the delay goes on after a contact: it stays as it is at tick ``k``."""
+    state = m.state
+    if state.drift[i, SLOPE] != 0.0:
+        state.delay[i] = m.tick * _delay(i, m, k)
+        state.drift[i, SLOPE] = 0.0
 
 
 @njit(cache=True)
