@@ -99,9 +99,10 @@ def test_the_prediction_beats_the_lead_where_the_delay_is_known() -> None:
         ("off-30", 0.005),
         ("off+30", 0.005),
         ("hunt_crossley", 0.005),
-        ("hard_stop", 0.02),
+        ("hard_stop", 0.005),
         ("jitter", 0.02),
-        ("drift", 0.06),  # 10 % of 20 ms over the contact is no single delay
+        ("drift", 0.02),
+        ("lowpass", 0.02),
     ],
 )
 def test_the_default_needs_neither_the_delay_nor_the_law(track: str, limit: float) -> None:

@@ -81,6 +81,19 @@ def test_a_delay_that_is_off_is_found() -> None:
     assert (ours < 0.1 * lead).all()
 
 
+def test_a_low_pass_that_nobody_told_of_is_found() -> None:
+    """2 ms at 4 Hz would leave (pi/2) w 2 ms = 0.08; with the delay and the filter as told it
+    does.
+    """
+    effect = {"kind": "sensor.lag", "time_constant": 0.002}
+    contact = BenchContact(4.0, 0.01, 0.05, changes={"effects": [effect]})
+    found, told = (
+        _errors([contact.scenario({"kind": "resynchronised", "delay": delay})])[0]
+        for delay in ("estimate", "known")
+    )
+    assert found < 0.01 < 0.03 < told
+
+
 @pytest.mark.parametrize("off", [1.2, 2.0])
 def test_the_interval_of_a_delay_holds_the_true_one(off: float) -> None:
     """Told is 1/off of the true delay; the contact refuses it, and the run says so."""

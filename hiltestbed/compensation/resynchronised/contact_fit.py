@@ -1,21 +1,33 @@
-"""The delay of the force and the law of the contact, fitted together.
+"""What the samples of a contact say of the measurement and of the law of the contact, together.
 
 During a contact c absorbs an error of the delay: the force of k x + c v, taken for one that acted
 a little earlier or later, is that of c +- k times the error. The touch is not absorbed: with it the
 force sets in, with c v at depth zero. All samples from before the touch until now are therefore one
-least-squares problem; it is linear in the columns of the law, and the delay and the touch point are
-searched. The laws, the simpler first::
+least-squares problem for
 
-    F = k x + c v
-    F = k x + c v + e x v               e: damping that grows with the depth
-    F = k x + c v + e x v + s (x - a)   s: a stop beyond the depth a, for x > a
+    y(t) = low-pass[F(x, v)](t - d(t)) + noise,   d(t) = d0 + r (t - t_felt)
+    F = k x + c v + e x v + s (x - a)             in contact, x from the touch point
 
-(the second: K. Hunt, F. Crossley, J. Appl. Mech. 42, 1975). No coefficient is negative. What the
-user has told stands until the samples refuse it: a free delay and each further column must lower
-the chi-square by more than REFUSED.
+with e: damping that grows with the depth (K. Hunt, F. Crossley, J. Appl. Mech. 42, 1975), s: a stop
+beyond the depth a. No coefficient is negative, and no contact pulls. The low-pass is of first
+order, analogue or digital. Instants that scatter make a sample say less where the force changes.
 
-Beyond the noise, what replaces them has to explain EXPLAINED of the misfit: a delay that jitters
-makes a misfit at the touch that some other delay or law always makes a little smaller.
+F is linear in k, c, e and s, which are solved for (variable projection: G. Golub, V. Pereyra, SIAM
+J. Numer. Anal. 10, 1973); the others are found by Levenberg-Marquardt steps. The force is computed
+at steps of the physics, so the step at which it sets in is a whole number, searched beside the
+touch point.
+
+Which unknowns there are is a choice between nested models. The simplest, k and c with all else as
+told, is compared with those that have one unknown more, the best of these with those that have two,
+and so on; the one with the largest evidence wins, in Laplace's approximation (D. MacKay, Neural
+Comput. 4, 1992)::
+
+    -2 ln Z = chi^2/f + n ln f + prior + ln det(1 + S J' J S/(f sigma^2))
+
+with the Jacobian J of the n samples, the priors' standard deviations S, and f >= 1, the factor by
+which the best fit says that the variance is larger than the noise's. An unknown that the samples do
+not show does not pay for its determinant, and stays as told. All models of as many unknowns are as
+likely beforehand.
 """
 
 from __future__ import annotations
@@ -29,96 +41,218 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 from hiltestbed.sensor.chain import FILTERED, filtered
 
-COLUMNS = 4
-LAWS = np.array([2, 3, 4])  # columns of each law
+# Columns of a solution: the unknowns, LINEAR of them in the law; [N/m, N s/m, ...], positions [m],
+# times [ticks]. ONSET: the step of the physics at which the force sets in.
+STIFFNESS, DAMPING, DEEPENING, STOP, POINT, DELAY, RATE, LAG, KNOT, UNKNOWNS = range(10)
+ONSET, DIGITAL, SCATTER, CHI, COST, SPREAD, SOLUTION = range(UNKNOWNS, UNKNOWNS + 7)
+LINEAR = 4
+GROWS = (DELAY, POINT, LAG, DEEPENING, STOP, RATE)  # unknowns beyond k and c
 CERTAIN = 3.84  # rise of chi-square at the ends of a 95 % interval of one parameter
-REFUSED = 9.0  # fall of chi-square: three standard deviations of one parameter
-EXPLAINED = 0.9  # share of the misfit beyond the noise: what is left then changes c by a third
+ENOUGH = 3.0  # standard deviations of a right model's chi-square: nothing is left to be explained
 TOUCH_SD = 5e-5  # [m] of the touch point of a known or flat surface: that of a good alignment
-DELAY_SD = 0.3  # of the told delay: what facilities report for an amplifier or a bus not measured
+# of the told delay: what facilities report for an amplifier or a bus not measured; also for its
+# change over the contact
+DELAY_SD = 0.3
+# [ticks] time constant of a low-pass with a tenth of the rate as its corner: the lowest that a
+# sampled loop is built with
+LAG_SD = 10.0 / (2.0 * math.pi)
 NARROW, WIDE = 0.4, 2.5  # times the told delay: searched
-DELAYS, TOUCHES, KNOTS = 60, 17, 7  # points searched
+KNOTS, LAGS = 7, 8  # points searched; of the low-pass from a quarter of a tick by factors of 2
 SHALLOW, DEEP = 0.3, 0.95  # of the depth so far, between which a stop is searched
 BEFORE = 6  # [ticks] before the first force that any delay could have, still in the window
-LATE = 4  # [ticks] before the first force that exceeds the noise, in which the touch is searched
+LEAST_SCATTER, SCATTERS = 1.0 / 32.0, 10  # [ticks] of the instants; searched by factors of 2
+LATE = 4  # [ticks] before the first force that exceeds the noise, in which the onset is searched
 GROWTH = 1.25  # samples of a contact at the next fit, over those at the last
 RESOLUTION = 0.01  # [ticks] of the delay
-GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-# Columns of a solution.
-DELAY, POINT, KNOT, CHI, SPREAD, SOLUTION = range(6)
+STEPS = 12  # of Levenberg and Marquardt
+DAMP = 1e-3  # first damping of a step, over the diagonal of the normal equations
 
 
 class ContactWindow(NamedTuple):
     """A contact so far, at ticks, ``(n,)``.
 
     s, u: position [m] and rate [m/s] along the gradient. y: force as read [N]. variance: of its
-    noise [N^2]. first: the first sample that counts. felt: the first that exceeds the noise.
-    substeps: in a tick, between which the sensor interpolates. held: whether the rate is constant
-    within a tick. smooth, leak: (2,) of the sensor's filters. told: [ticks]. expected: [m] touch
-    point.
+    noise [N^2]. weight: of each sample, 1 with that noise. first: the first sample that counts.
+    felt: the first that exceeds the noise. substeps: in a tick, between which the sensor
+    interpolates. held: whether the rate is constant within a tick. lag, digital: [ticks] time
+    constant and kind of the told low-pass. leak: (2,) of the sensor's high-pass. told: [ticks].
+    expected: [m] touch point.
     """
 
     s: Array
     u: Array
     y: Array
     variance: float
+    weight: Array
     first: int
     felt: int
     substeps: float
     held: bool
-    smooth: Array
+    lag: float
+    digital: float
     leak: Array
     told: float
     expected: float
 
 
-@njit(cache=True)
-def columns(m, delay, touch, knot, rows):
-    """The law's columns as a sensor with the delay [ticks] shows them, into ``rows`` (n, 4)."""
-    n = m.s.shape[0]
-    memory = np.zeros((COLUMNS, FILTERED))
-    x, v = np.empty(2), np.empty(2)
-    for i in range(m.first, n):
-        at = (i - delay) * m.substeps
-        early = math.floor(at)
-        for e in range(2):
-            t = (early + e) / m.substeps
-            j = min(max(int(math.ceil(t - 1e-9)), 1), n - 1)
-            part = t - (j - 1)
-            x[e] = m.s[j - 1] + part * (m.s[j] - m.s[j - 1]) - touch
-            v[e] = m.u[j] if m.held else m.u[j - 1] + part * (m.u[j] - m.u[j - 1])
-            if x[e] <= 0.0:
-                x[e], v[e] = 0.0, 0.0
-        part, row = at - early, rows[i]
-        row[0] = (1.0 - part) * x[0] + part * x[1]
-        row[1] = (1.0 - part) * v[0] + part * v[1]
-        row[2] = (1.0 - part) * x[0] * v[0] + part * x[1] * v[1]
-        row[3] = (1.0 - part) * max(x[0] - knot, 0.0) + part * max(x[1] - knot, 0.0)
-        for c in range(COLUMNS):
-            row[c] = filtered(row[c], m.smooth, m.leak, memory[c])
+@njit(cache=True, inline="always")
+def _position(m, step):
+    """Position [m] at a step of the physics."""
+    t = step / m.substeps
+    j = min(max(int(math.ceil(t - 1e-9)), 1), m.s.shape[0] - 1)
+    return m.s[j - 1] + (t - (j - 1)) * (m.s[j] - m.s[j - 1])
 
 
 @njit(cache=True)
-def chi_square(m, used, trial, rows, law):
-    """Chi-square of the samples and of what was told, with the best law of ``used`` columns.
-
-    trial: (SOLUTION,) delay, touch point and knot; CHI is written. law: (4,) coefficients, out.
+def onset(m, touch):
+    """The step of the physics that first is beyond a touch point [m], in the latest passage before
+    the force was felt.
     """
-    columns(m, trial[DELAY], trial[POINT], trial[KNOT], rows)
-    a, b = np.zeros((used, used)), np.zeros(used)
+    step = int(m.felt * m.substeps)
+    while step > 1 and _position(m, step) <= touch:
+        step -= 1
+    while step > 1 and _position(m, step - 1) > touch:
+        step -= 1
+    return step
+
+
+@njit(cache=True)
+def low_pass_of(lag, digital, weights):
+    """Weights (2,) of a low-pass with the time constant ``lag`` [ticks]: a digital one, y += (u -
+    y)/(1 + lag), or an analogue one, as in :func:`hiltestbed.sensor.chain.low_pass`.
+    """
+    weights[0], weights[1] = 1.0, 0.0
+    if digital > 0.0:
+        weights[0] = 1.0 / (1.0 + lag)
+    elif lag > 0.0:
+        a = math.exp(-1.0 / lag)
+        b = (1.0 - a) * lag
+        weights[0], weights[1] = 1.0 - b, b - a
+
+
+@njit(cache=True)
+def columns(m, p, used, rows):
+    """The law's columns as the sensor shows them with the solution ``p``, into ``rows`` (n, 4)."""
+    n = m.s.shape[0]
+    memory = np.zeros((LINEAR, FILTERED))
+    x, v, smooth, leak = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
+    # an analogue filter acts between the ticks, too
+    times = int(m.substeps) if p[LAG] > 0.0 and p[DIGITAL] == 0.0 else 1
+    low_pass_of(p[LAG] * times, p[DIGITAL], smooth)
+    leak[0] = m.leak[0] ** (1.0 / times)
+    leak[1] = m.leak[1] ** (1.0 / times)
+    for i in range(m.first, n):
+        for back in range(times - 1, -1, -1):
+            read = i - back / times
+            at = (read - p[DELAY] - p[RATE] * (read - m.felt)) * m.substeps
+            early = math.floor(at)
+            for e in range(2):
+                t = (early + e) / m.substeps
+                j = min(max(int(math.ceil(t - 1e-9)), 1), n - 1)
+                part = t - (j - 1)
+                x[e] = m.s[j - 1] + part * (m.s[j] - m.s[j - 1]) - p[POINT]
+                v[e] = m.u[j] if m.held else m.u[j - 1] + part * (m.u[j] - m.u[j - 1])
+                # a contact does not pull: with the coefficients of the last solution
+                force = p[STIFFNESS] * x[e] + p[DAMPING] * v[e] + p[DEEPENING] * x[e] * v[e]
+                force += p[STOP] * max(x[e] - p[KNOT], 0.0)
+                if early + e < p[ONSET] or force < 0.0 or (x[e] <= 0.0 and v[e] <= 0.0):
+                    x[e], v[e] = 0.0, 0.0
+            part, row = at - early, rows[i]
+            row[0] = (1.0 - part) * x[0] + part * x[1]
+            row[1] = (1.0 - part) * v[0] + part * v[1]
+            if used[DEEPENING]:
+                row[2] = (1.0 - part) * x[0] * v[0] + part * x[1] * v[1]
+            if used[STOP]:
+                row[3] = (1.0 - part) * max(x[0] - p[KNOT], 0.0) + part * max(x[1] - p[KNOT], 0.0)
+            for c in range(LINEAR):
+                if used[c]:
+                    row[c] = filtered(row[c], smooth, leak, memory[c])
+
+
+@njit(cache=True)
+def misfit(m, p, used, rows):
+    """The best coefficients of the law for the other unknowns in ``p``, and CHI; returns -2 ln of
+    likelihood times prior.
+    """
+    columns(m, p, used, rows)
+    a, b = np.zeros((LINEAR, LINEAR)), np.zeros(LINEAR)
     total = 0.0
+    wide = 0.0
     for i in range(m.first, m.s.shape[0]):
-        y = m.y[i]
-        for c in range(used):
-            b[c] += rows[i, c] * y
-            for d in range(c + 1):
-                a[c, d] += rows[i, c] * rows[i, d]
-        total += y * y
-    law[:] = 0.0
-    told = (trial[DELAY] / m.told - 1.0) / DELAY_SD
-    point = (trial[POINT] - m.expected) / TOUCH_SD
-    left = (total - _explained(a, b, law[:used])) / m.variance
-    trial[CHI] = left + told * told + point * point
+        y, w = m.y[i], m.weight[i]
+        wide -= math.log(w)
+        for c in range(LINEAR):
+            if used[c]:
+                b[c] += w * rows[i, c] * y
+                for d in range(c + 1):
+                    if used[d]:
+                        a[c, d] += w * rows[i, c] * rows[i, d]
+        total += w * y * y
+    p[CHI] = max(total - _explained(a, b, p[:LINEAR]), 0.0) / m.variance
+    n = m.s.shape[0] - m.first
+    out = wide + _deviance(p[CHI], n)
+    for c in range(LINEAR, UNKNOWNS):
+        if used[c] and c != KNOT:
+            off = (p[c] - _told(m, c)) / prior_sd(m, c)
+            out += off * off
+    return out
+
+
+@njit(cache=True, inline="always")
+def _deviance(chi, n):
+    """-2 ln of the likelihood of ``n`` samples whose variance is at least the noise's."""
+    return chi if chi <= n else n + n * math.log(chi / n)
+
+
+@njit(cache=True)
+def _scatter(m, p, used, rows):
+    """Weigh the samples by the scatter of the instants at which they acted, SCATTER."""
+    n = m.s.shape[0]
+    columns(m, p, used, rows)
+    size, rest, slope = np.zeros(n), np.zeros(n), np.zeros(n)
+    for i in range(m.first, n):
+        for c in range(LINEAR):
+            if used[c]:
+                size[i] += p[c] * rows[i, c]
+        rest[i] = (m.y[i] - size[i]) ** 2 / m.variance
+    for i in range(m.first, n):
+        before = size[i] - size[i - 1]
+        after = size[i + 1] - size[i] if i + 1 < n else before
+        slope[i] = 0.5 * (before * before + after * after) / m.variance
+    best, count = np.inf, n - m.first
+    for q in range(SCATTERS):
+        sd = 0.0 if q == 0 else LEAST_SCATTER * 2.0 ** (q - 1)
+        chi, out = 0.0, math.log(2.0 * count) if q > 0 else 0.0
+        for i in range(m.first, n):
+            wide = 1.0 + sd * sd * slope[i]
+            chi += rest[i] / wide
+            out += math.log(wide)
+        out += _deviance(chi, count)
+        if out < best:
+            best = out
+            p[SCATTER] = sd
+    for i in range(n):
+        m.weight[i] = 1.0 / (1.0 + p[SCATTER] ** 2 * slope[i])
+
+
+@njit(cache=True, inline="always")
+def _told(m, c):
+    """What an unknown is without samples."""
+    if c == DELAY:
+        return m.told
+    if c == LAG:
+        return m.lag
+    return m.expected if c == POINT else 0.0
+
+
+@njit(cache=True, inline="always")
+def prior_sd(m, c):
+    """Standard deviation of an unknown before any sample."""
+    if c == POINT:
+        return TOUCH_SD
+    if c == RATE:
+        return DELAY_SD * m.told / (m.s.shape[0] - m.felt)
+    return LAG_SD if c == LAG else DELAY_SD * m.told
 
 
 @njit(cache=True)
@@ -164,118 +298,433 @@ def _explained(a, b, x):
 
 
 @njit(cache=True)
-def _at(m, used, loose, delay, rows, law, best):
-    """The best touch point, if ``loose``, and knot for a delay, into ``best`` (SOLUTION,)."""
-    n = m.s.shape[0]
-    trial = np.zeros(SOLUTION)
-    trial[DELAY], trial[POINT] = delay, m.expected
+def _deepest(m, p):
     deepest = 0.0
-    for j in range(m.first, n):
-        deepest = max(deepest, m.s[max(int(j - delay), 0)] - m.expected)
-    best[CHI] = np.inf
-    for p in range(TOUCHES if loose else 1):
-        if loose:
-            at = max(m.felt - LATE * p / (TOUCHES - 1) - delay, 0.0)
-            j = min(int(at), n - 2)
-            trial[POINT] = m.s[j] + (at - j) * (m.s[j + 1] - m.s[j])
-        for q in range(KNOTS if used == COLUMNS else 1):
-            trial[KNOT] = (SHALLOW + (DEEP - SHALLOW) * q / (KNOTS - 1)) * deepest
-            chi_square(m, used, trial, rows, law)
-            if trial[CHI] < best[CHI]:
-                best[:] = trial
+    for j in range(m.first, m.s.shape[0]):
+        deepest = max(deepest, m.s[max(int(j - p[DELAY]), 0)] - p[POINT])
+    return deepest
 
 
 @njit(cache=True)
-def _searched(m, used, loose, rows, law, best):
-    """The best delay, into ``best`` (SOLUTION,): a grid, then golden section."""
-    trial = np.zeros(SOLUTION)
-    least, most = max(NARROW * m.told, 1.0), max(WIDE * m.told, 2.0)
-    step = (most - least) / (DELAYS - 1)
-    best[CHI] = np.inf
-    for p in range(DELAYS):
-        _at(m, used, loose, least + step * p, rows, law, trial)
-        if trial[CHI] < best[CHI]:
-            best[:] = trial
-    low, high = max(best[DELAY] - step, least), min(best[DELAY] + step, most)
-    while high - low > RESOLUTION:
-        one, two = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-        _at(m, used, loose, one, rows, law, trial)
-        left = trial[CHI]
-        if left < best[CHI]:
-            best[:] = trial
-        _at(m, used, loose, two, rows, law, trial)
-        if trial[CHI] < best[CHI]:
-            best[:] = trial
-        if left < trial[CHI]:
-            high = two
+def _bounded(m, p, deepest):
+    """Keep the unknowns where the model means something."""
+    step = int(p[ONSET])
+    p[POINT] = min(max(p[POINT], _position(m, step - 1)), _position(m, step))
+    p[DELAY] = min(max(p[DELAY], max(NARROW * m.told, 1.0)), max(WIDE * m.told, 2.0))
+    p[LAG] = max(p[LAG], 0.0)
+    p[RATE] = min(max(p[RATE], -0.5), 0.5)
+    p[KNOT] = min(max(p[KNOT], 0.05 * deepest), deepest)
+
+
+@njit(cache=True)
+def _jacobian(m, p, used, rows, other, jacobian):
+    """Derivatives of the reading by the unknowns in use, into ``jacobian`` (n, UNKNOWNS)."""
+    travel = abs(_position(m, int(p[ONSET])) - _position(m, int(p[ONSET]) - 1)) + 1e-12
+    near = np.empty(SOLUTION)
+    columns(m, p, used, rows)
+    n = m.s.shape[0]
+    for c in range(UNKNOWNS):
+        if not used[c]:
+            continue
+        if c < LINEAR:
+            jacobian[:, c] = rows[:, c]
+            continue
+        near[:] = p
+        d = RESOLUTION
+        if c in (POINT, KNOT):
+            d *= travel
+        elif c == RATE:
+            d /= n - m.felt
+        near[c] += d
+        columns(m, near, used, other)
+        for i in range(m.first, n):
+            change = 0.0
+            for e in range(LINEAR):
+                if used[e]:
+                    change += p[e] * (other[i, e] - rows[i, e])
+            jacobian[i, c] = change / d
+
+
+@njit(cache=True)
+def _normal(m, p, used, rows, jacobian, matrix, gradient):
+    """Normal equations (UNKNOWNS, UNKNOWNS), without the priors, in units of f sigma^2."""
+    n = m.s.shape[0]
+    scale = 1.0 / (m.variance * max(1.0, p[CHI] / (n - m.first)))
+    matrix[:], gradient[:] = 0.0, 0.0
+    for i in range(m.first, n):
+        rest, weight = m.y[i], scale * m.weight[i]
+        for c in range(LINEAR):
+            if used[c]:
+                rest -= p[c] * rows[i, c]
+        for c in range(UNKNOWNS):
+            if used[c]:
+                gradient[c] += weight * jacobian[i, c] * rest
+                for d in range(c + 1):
+                    if used[d]:
+                        matrix[c, d] += weight * jacobian[i, c] * jacobian[i, d]
+    for c in range(UNKNOWNS):
+        for d in range(c):
+            matrix[d, c] = matrix[c, d]
+
+
+@njit(cache=True)
+def _cholesky(a):
+    """Lower factor in place; False if not positive definite."""
+    for c in range(a.shape[0]):
+        for d in range(c + 1):
+            rest = a[c, d]
+            for e in range(d):
+                rest -= a[c, e] * a[d, e]
+            if c == d:
+                if rest <= 0.0:
+                    return False
+                a[c, c] = math.sqrt(rest)
+            else:
+                a[c, d] = rest / a[d, d]
+    return True
+
+
+@njit(cache=True)
+def _descend(m, p, used, work):
+    """Levenberg-Marquardt from ``p``; returns -2 ln of likelihood times prior."""
+    rows, other, jacobian = work
+    matrix, gradient = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    a, d = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    trial = np.empty(SOLUTION)
+    deepest = _deepest(m, p)
+    _bounded(m, p, deepest)
+    best = misfit(m, p, used, rows)
+    if not np.any(used[LINEAR:]):
+        return best
+    damp = DAMP
+    fresh = True
+    for _ in range(STEPS):
+        if fresh:
+            _jacobian(m, p, used, rows, other, jacobian)
+            _normal(m, p, used, rows, jacobian, matrix, gradient)
+            for c in range(LINEAR, UNKNOWNS):
+                if used[c] and c != KNOT:
+                    precision = 1.0 / prior_sd(m, c) ** 2
+                    matrix[c, c] += precision
+                    gradient[c] -= (p[c] - _told(m, c)) * precision
+        for c in range(UNKNOWNS):
+            for e in range(UNKNOWNS):
+                a[c, e] = matrix[c, e]
+            a[c, c] = matrix[c, c] * (1.0 + damp)
+            if not used[c] or matrix[c, c] <= 0.0 or (c < LINEAR and p[c] <= 0.0):
+                a[c, :] = 0.0
+                a[:, c] = 0.0
+                a[c, c] = 1.0
+        if not _cholesky(a):
+            damp *= 10.0
+            fresh = False
+            continue
+        for c in range(UNKNOWNS):
+            rest = gradient[c] if used[c] and a[c, c] != 1.0 else 0.0
+            for e in range(c):
+                rest -= a[c, e] * d[e]
+            d[c] = rest / a[c, c]
+        for c in range(UNKNOWNS - 1, -1, -1):
+            rest = d[c]
+            for e in range(c + 1, UNKNOWNS):
+                rest -= a[e, c] * d[e]
+            d[c] = rest / a[c, c]
+        trial[:] = p
+        for c in range(LINEAR, UNKNOWNS):
+            if used[c]:
+                trial[c] += d[c]
+        _bounded(m, trial, deepest)
+        found = misfit(m, trial, used, rows)
+        if found < best:
+            fresh = True
+            gained = best - found
+            best = found
+            p[:] = trial
+            damp = max(0.1 * damp, 1e-9)
+            if gained < 1e-3:
+                break
         else:
-            low = one
+            fresh = False
+            damp *= 10.0
+            if damp > 1e6:
+                break
+    misfit(m, p, used, rows)
+    return best
 
 
 @njit(cache=True)
-def _centre(m, used, loose, rows, law, best):
+def _settle(m, p, used, work):
+    """As :func:`_descend`, and to the step of the physics at which the force sets in, if the touch
+    point is searched.
+    """
+    best = _descend(m, p, used, work)
+    if not used[POINT]:
+        return best
+    trial = np.empty(SOLUTION)
+    for way in (-1, 1):
+        while True:
+            trial[:] = p
+            trial[ONSET] += way
+            if trial[ONSET] < 2.0 or trial[ONSET] > m.s.shape[0] * m.substeps - 2.0:
+                break
+            if used[DELAY]:
+                trial[DELAY] -= way / m.substeps
+            found = _descend(m, trial, used, work)
+            if found >= best:
+                break
+            best = found
+            p[:] = trial
+    return best
+
+
+@njit(cache=True)
+def _evidence(m, p, used, found, work):
+    """-2 ln Z, into COST."""
+    rows, other, jacobian = work
+    matrix, gradient = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    _jacobian(m, p, used, rows, other, jacobian)
+    _normal(m, p, used, rows, jacobian, matrix, gradient)
+    peak = np.max(np.abs(m.y[m.first :]))
+    scale = np.zeros(UNKNOWNS)
+    for c in range(UNKNOWNS):
+        if not used[c] or (c < LINEAR and p[c] <= 0.0):
+            continue
+        if c < LINEAR:
+            scale[c] = peak / max(np.max(np.abs(rows[m.first :, c])), 1e-300)
+        elif c == KNOT:
+            scale[c] = _deepest(m, p) / math.sqrt(12.0)
+        else:
+            scale[c] = prior_sd(m, c)
+    # the step at which the force sets in confines the touch point
+    step = int(p[ONSET])
+    if used[POINT]:
+        matrix[POINT, POINT] += 12.0 / (_position(m, step) - _position(m, step - 1)) ** 2
+    for c in range(UNKNOWNS):
+        for d in range(UNKNOWNS):
+            matrix[c, d] *= scale[c] * scale[d]
+        matrix[c, c] += 1.0
+    p[COST] = found + (math.log(2.0 * (m.s.shape[0] - m.first)) if p[SCATTER] > 0.0 else 0.0)
+    if _cholesky(matrix):
+        for c in range(UNKNOWNS):
+            p[COST] += 2.0 * math.log(matrix[c, c])
+    else:
+        p[COST] = np.inf
+
+
+@njit(cache=True)
+def _grown(m, parent, used, new, work, out):
+    """The model of ``used`` unknowns, of which ``new`` is one more than in ``parent``, into
+    ``out``.
+    """
+    out[COST] = np.inf
+    start = np.empty(SOLUTION)
+    for digital in range(2 if new == LAG else 1):
+        start[:] = parent
+        if new == LAG:
+            start[DIGITAL] = digital
+        _begin(m, start, used, new, work[0])
+        _settle(m, start, used, work)
+        _scatter(m, start, used, work[0])
+        _evidence(m, start, used, _settle(m, start, used, work), work)
+        if start[COST] < out[COST]:
+            out[:] = start
+
+
+@njit(cache=True)
+def _begin(m, p, used, new, rows):
+    """The best of some values of the unknown ``new``, into ``p``."""
+    trial, parent, best = np.empty(SOLUTION), p.copy(), np.inf
+    if new == DELAY:
+        latest = m.felt - (parent[ONSET] - 1.0) / m.substeps
+        for q in range(4 * LATE + 1):
+            trial[:] = parent
+            trial[DELAY] = latest - 0.25 * q
+            best = _better(m, trial, used, rows, best, p)
+    elif new == LAG:
+        for q in range(LAGS):
+            for e in range(2 if used[DELAY] else 1):
+                trial[:] = parent
+                trial[LAG] = 0.25 * 2.0**q
+                if e == 1:
+                    trial[DELAY] -= trial[LAG] - parent[LAG]
+                best = _better(m, trial, used, rows, best, p)
+    elif new == STOP:
+        deepest = _deepest(m, parent)
+        for q in range(KNOTS):
+            trial[:] = parent
+            trial[KNOT] = (SHALLOW + (DEEP - SHALLOW) * q / (KNOTS - 1)) * deepest
+            best = _better(m, trial, used, rows, best, p)
+
+
+@njit(cache=True)
+def _better(m, trial, used, rows, best, p):
+    """The smaller of ``best`` and the misfit of ``trial``, which then is copied into ``p``."""
+    found = misfit(m, trial, used, rows) if trial[DELAY] >= 1.0 else np.inf
+    if found < best:
+        p[:] = trial
+    return min(found, best)
+
+
+@njit(cache=True)
+def _centre(m, used, rows, best):
     """Move the delay to the middle of its 95 % interval, whose half width is SPREAD: between two
     readings the force may set in at any instant, with the same chi-square.
     """
-    trial = np.zeros(SOLUTION)
-    limit = best[CHI] + CERTAIN * max(1.0, best[CHI] / degrees(m))
+    trial = best.copy()
+    limit = misfit(m, trial, used, rows) + CERTAIN
     ends = np.empty(2)
     for e in range(2):
         inside = best[DELAY]
         outside = max(inside - 2.0, 1.0) if e == 0 else inside + 2.0
         while abs(outside - inside) > RESOLUTION:
-            _at(m, used, loose, 0.5 * (inside + outside), rows, law, trial)
-            if trial[CHI] < limit:
+            trial[DELAY] = 0.5 * (inside + outside)
+            if misfit(m, trial, used, rows) < limit:
                 inside = trial[DELAY]
             else:
                 outside = trial[DELAY]
         ends[e] = inside
-    _at(m, used, loose, 0.5 * (ends[0] + ends[1]), rows, law, trial)
-    if trial[CHI] < limit:
-        best[:] = trial
+    trial[DELAY] = 0.5 * (ends[0] + ends[1])
+    if misfit(m, trial, used, rows) < limit:
+        best[:UNKNOWNS] = trial[:UNKNOWNS]
     best[SPREAD] = 0.5 * (ends[1] - ends[0])
 
 
-@njit(cache=True, inline="always")
-def degrees(m):
-    """Degrees of freedom of the samples."""
-    return max(m.s.shape[0] - m.first - COLUMNS - 2, 1)
+@njit(cache=True)
+def _promised(m, p, used, new, work):
+    """By how much -2 ln Z falls at best if the unknown ``new`` joins the best fit ``p`` of those
+    ``used``, to first order: the score test (C. R. Rao, Proc. Camb. Phil. Soc. 44, 1948), less what
+    the unknown costs. A fraction of what finding the new best fit takes.
+    """
+    rows, other, jacobian = work
+    matrix, gradient = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    joint, near = used.copy(), p.copy()
+    joint[new] = True
+    knots = KNOTS if new == STOP else 1
+    peak, deepest, best = np.max(np.abs(m.y[m.first :])), _deepest(m, p), -np.inf
+    for q in range(knots):
+        if new == STOP:
+            near[KNOT] = (SHALLOW + (DEEP - SHALLOW) * q / (KNOTS - 1)) * deepest
+        _jacobian(m, near, joint, rows, other, jacobian)
+        _normal(m, near, joint, rows, jacobian, matrix, gradient)
+        across = np.zeros(UNKNOWNS)
+        for c in range(UNKNOWNS):
+            if c >= LINEAR and used[c] and c != KNOT:
+                matrix[c, c] += 1.0 / prior_sd(m, c) ** 2
+            if used[c]:
+                across[c] = matrix[c, new]
+        own, slope = matrix[new, new], gradient[new]
+        for c in range(UNKNOWNS):
+            if not used[c] or matrix[c, c] <= 0.0:
+                matrix[c, :] = 0.0
+                matrix[:, c] = 0.0
+                matrix[c, c] = 1.0
+                across[c] = gradient[c] = 0.0
+        if not _cholesky(matrix):
+            return np.inf
+        for c in range(UNKNOWNS):
+            for e in range(c):
+                across[c] -= matrix[c, e] * across[e]
+                gradient[c] -= matrix[c, e] * gradient[e]
+            across[c] /= matrix[c, c]
+            gradient[c] /= matrix[c, c]
+            own -= across[c] ** 2
+            slope -= across[c] * gradient[c]
+        if new < LINEAR:
+            sd = peak / max(np.max(np.abs(rows[m.first :, new])), 1e-300)
+        else:
+            sd = prior_sd(m, new)
+        if own > 0.0:
+            gain = slope**2 / (own + 1.0 / sd**2)
+            best = max(best, gain - math.log(1.0 + own * sd**2))
+    return best
 
 
 @njit(cache=True)
-def fit(m, free, rows, law, best):
-    """The simplest law and, if the samples refuse the told ones, touch point and, if ``free``,
-    delay.
+def fit(m, free, best, used):
+    """The model with the largest evidence; delay, its rate and the low-pass only if ``free``.
 
-    rows: (n, 4) scratch; on return the columns. law: (4,) coefficients, out. best: (SOLUTION,),
-    out. Returns the number of columns.
+    best: (SOLUTION,), out. used: (UNKNOWNS,) whether an unknown of it was searched, out.
     """
-    laws = LAWS.shape[0]
-    found = np.full((laws, 2, 2, SOLUTION), np.inf)  # law, loose touch point, free delay
-    dof = degrees(m)
-    enough = dof + REFUSED / 3.0 * math.sqrt(2.0 * dof)
-    for unknowns in range(laws + 2):
-        for j in range(laws):
-            for loose in range(2):
-                e = unknowns - j - loose
-                if e == 0:
-                    _at(m, LAWS[j], loose == 1, m.told, rows, law, found[j, loose, 0])
-                elif e == 1 and free:
-                    _searched(m, LAWS[j], loose == 1, rows, law, found[j, loose, 1])
-        if found[:, :, :, CHI].min() <= enough:
+    n = m.s.shape[0]
+    work = (np.zeros((n, LINEAR)), np.zeros((n, LINEAR)), np.zeros((n, UNKNOWNS)))
+    told, now, mine = np.zeros(SOLUTION), np.zeros(SOLUTION), np.zeros(UNKNOWNS, dtype=np.bool_)
+    told[POINT], told[DELAY], told[LAG] = m.expected, m.told, m.lag
+    told[ONSET], told[DIGITAL] = onset(m, m.expected), m.digital
+    mine[STIFFNESS], mine[DAMPING] = True, True
+    misfit(m, told, mine, work[0])
+    _scatter(m, told, mine, work[0])
+    _evidence(m, told, mine, misfit(m, told, mine, work[0]), work)
+    best[:], used[:], now[:] = told, mine, told
+    child, better = np.empty(SOLUTION), np.empty(SOLUTION)
+    dof = n - m.first
+    enough = dof + ENOUGH * math.sqrt(2.0 * dof)
+    choice, idle = np.zeros(len(GROWS) + 1), 0
+    for level in range(len(GROWS)):
+        better[COST] = np.inf
+        add, tried = -1, 0
+        for new in GROWS:
+            if mine[new] or (new == RATE and not mine[DELAY]):
+                continue
+            if not free and new in (DELAY, RATE, LAG):
+                continue
+            tried += 1
+            # of a fit that is nearly right the first order tells, but of the delay, at whose ends
+            # the force sets in at another step
+            near = new != DELAY and now[CHI] <= enough
+            if near and _promised(m, now, mine, new, work) <= 0.0:
+                continue
+            mine[new] = True
+            mine[KNOT] = mine[STOP]
+            _scatter(m, now, mine, work[0])
+            _grown(m, now, mine, new, work, child)
+            mine[new] = False
+            mine[KNOT] = mine[STOP]
+            if child[COST] < better[COST]:
+                better[:] = child
+                add = new
+        if add < 0:
             break
-    scale = max(1.0, found[:, :, :, CHI].min() / dof)
-    misfit = (1.0 - EXPLAINED) * (found[0, 0, 0, CHI] - dof)
-    least, law_of, loosened, freed = found[0, 0, 0, CHI] / scale, 0, 0, 0
-    for j in range(laws):
-        for loose in range(2):
-            for e in range(2):
-                chi = found[j, loose, e, CHI]
-                cost = chi / scale + REFUSED * (j + loose + e)
-                if cost < least and (chi <= enough or chi - dof <= misfit):
-                    least, law_of, loosened, freed = cost, j, loose, e
-    best[:] = found[law_of, loosened, freed]
-    if freed == 1:
-        _centre(m, LAWS[law_of], loosened == 1, rows, law, best)
-    chi_square(m, LAWS[law_of], best, rows, law)
-    return LAWS[law_of]
+        mine[add] = True
+        mine[KNOT] = mine[STOP]
+        now[:] = better
+        # every model of so many unknowns is as likely beforehand
+        choice[level + 1] = choice[level] + 2.0 * math.log(tried)
+        now[COST] += choice[level + 1]
+        idle += 1
+        if now[COST] < best[COST]:
+            best[:], used[:], idle = now, mine, 0
+        if idle == 2 or (idle == 1 and best[CHI] <= enough):
+            break
+    _pruned(m, told, choice, work, best, used)
+    best[SPREAD] = 0.0
+    _scatter(m, best, used, work[0])
+    if used[DELAY]:
+        _centre(m, used, work[0], best)
+
+
+@njit(cache=True)
+def _pruned(m, told, choice, work, best, used):
+    """Leave out what a later unknown has made superfluous."""
+    child, less = np.empty(SOLUTION), np.empty(UNKNOWNS, dtype=np.bool_)
+    for out in GROWS:
+        level = 0
+        for new in GROWS:
+            level += used[new]
+        if not used[out] or level < 2 or (out == DELAY and used[RATE]):
+            continue
+        less[:] = used
+        less[out] = False
+        less[KNOT] = less[STOP]
+        child[:] = best
+        child[out] = told[out]
+        if out == POINT:
+            child[ONSET] = told[ONSET]
+            if used[DELAY]:
+                child[DELAY] += (best[ONSET] - told[ONSET]) / m.substeps
+        _scatter(m, best, used, work[0])
+        _settle(m, child, less, work)
+        _scatter(m, child, less, work[0])
+        _evidence(m, child, less, _settle(m, child, less, work), work)
+        child[COST] += choice[level - 1]
+        if child[COST] < best[COST]:
+            best[:], used[:] = child, less

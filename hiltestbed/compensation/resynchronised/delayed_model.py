@@ -30,8 +30,10 @@ FIRST_FIT = 8  # samples of contact: twice the unknowns of the richest law
 # at which the next re-run and the next fit are due, tick of the first reading of this contact.
 DONE, DELAYED, ANCHOR, NEXT_RERUN, NEXT_FIT, FELT, TICK = range(7)
 # Columns of ``told``: what was believed when this contact began: delay [s], half the width of its
-# interval [s], touch point [m].
-BELIEVED, HALF_WIDTH, EXPECTED, TOLD = range(4)
+# interval [s], touch point [m], time constant [ticks] of the low-pass and whether it is digital.
+BELIEVED, HALF_WIDTH, EXPECTED, SMOOTHED, DIGITAL, TOLD = range(6)
+# Columns of ``drift``: of the delay a tick, and the tick at which it is the one in ``delay``.
+SLOPE, SINCE, DRIFT = range(3)
 
 
 @njit(cache=True, inline="always")
@@ -60,14 +62,33 @@ def along(fixed, line, x):
     )
 
 
+@njit(cache=True, inline="always")
+def _delay(i, m, k):
+    """Delay [ticks] of the reading at tick ``k``."""
+    delay, drift, told = m.state.delay[i] / m.tick, m.state.drift[i], m.state.told[i, BELIEVED]
+    if drift[SLOPE] == 0.0:
+        return delay
+    delay += drift[SLOPE] * (k - drift[SINCE])
+    return min(max(delay, cf.NARROW * told / m.tick), cf.WIDE * told / m.tick)
+
+
+@njit(cache=True, inline="always")
+def _whole(ticks):
+    """A delay [ticks] as whole ticks, rounded up, and the fraction by which it is shorter."""
+    late = int(math.ceil(ticks - 1e-9))
+    return late, min(max(late - ticks, 0.0), 1.0)
+
+
 @njit(cache=True)
 def _acted(i, m, k, rows):
     """Position, rate and wrench at A (rows 0 to 2) when the force read at tick ``k`` acted; returns
     the force [N].
     """
-    setup, state = m.setup, m.state
-    part, w, length = setup.part[i], setup.weight[i], state.x.shape[1]
-    j = k - setup.late[i]
+    state = m.state
+    late, part = _whole(_delay(i, m, k))
+    # the sensor interpolates its reading between substeps; so is the rate weighted
+    w, length = min(1.0, part * m.substeps) if m.ideal else part, state.x.shape[1]
+    j = k - late
     now = min(j + 1, k) % length
     for c in range(6):
         early, late = state.x[i, j % length, c], state.x[i, now, c]
@@ -83,19 +104,23 @@ def identify(i, m, work, rows):
     """Identify the contact from this tick's reading and the pose at the time the force acted."""
     h, fixed, setup, state = m.tick, m.fixed, m.setup, m.state
     k = state.tick[i, DONE]
-    if k < setup.late[i]:
+    if k < _whole(_delay(i, m, k))[0]:
         return
     line, fit, law, count = state.line[i], state.fit[i], state.law[i], state.count[i]
     y = _acted(i, m, k, rows)
     rate, at_A = rows[1], rows[2]
     fit[ce.PEAK] = max(fit[ce.PEAK], y)
-    slow = setup.smooth[i, 0] < 1.0
+    slow = setup.smooth[i, 0] < 1.0 and law[ce.FITTED] == 0.0
     gate = (
         ce.GATE_PEAK_FILTERED
         if slow and count[ce.ABOVE] > 0 and count[ce.SAMPLES] > 0
         else GATE_PEAK
     )
     if y <= GATE_SIGMA * setup.sigma[i, 0] or y <= gate * fit[ce.PEAK]:
+        if fixed and count[ce.ABOVE] >= FIRST_FIT and state.told[i, BELIEVED] > 0.0:
+            _refit(i, m, work, rows)  # the contact is over, and all is seen of it
+        elif count[ce.ABOVE] == 0:
+            _hold(i, m, k)
         if count[ce.ABOVE] > 0 and not fixed:
             law[ce.ARMED] = 0.0  # the next contact may be elsewhere on the surface
         count[ce.ABOVE] = 0
@@ -132,7 +157,9 @@ def _touched(i, m, s, u, work):
     """Start a contact: save the state for a re-run."""
     state, tick, law = m.state, m.state.tick[i], m.state.law[i]
     told = state.told[i]
+    _hold(i, m, tick[DONE])
     told[BELIEVED], told[HALF_WIDTH] = state.delay[i], state.delay_half_width[i]
+    told[SMOOTHED], told[DIGITAL] = state.lag[i, 0], state.lag[i, 1]
     told[EXPECTED] = law[ce.TOUCH] if law[ce.ARMED] == 1.0 else 0.0
     ce.touch(state.fit[i], law, state.count[i], s, u, m.tick)
     _rewind(i, m, s, u, work)
@@ -150,6 +177,15 @@ def _anchor(i, state):
     state.tick[i, ANCHOR] = state.tick[i, DELAYED]
 
 
+@njit(cache=True, inline="always")
+def _hold(i, m, k):
+    """No sample shows how the delay goes on after a contact: it stays as it is at tick ``k``."""
+    state = m.state
+    if state.drift[i, SLOPE] != 0.0:
+        state.delay[i] = m.tick * _delay(i, m, k)
+        state.drift[i, SLOPE] = 0.0
+
+
 @njit(cache=True)
 def _refit(i, m, work, rows):
     """Fit delay and law to this contact so far; what the samples refuse is replaced, and the
@@ -158,32 +194,32 @@ def _refit(i, m, work, rows):
     h, setup, state = m.tick, m.setup, m.state
     fit, law, count, tick = state.fit[i], state.law[i], state.count[i], state.tick[i]
     samples = _samples(i, m)
-    n = samples.s.shape[0]
-    if n > state.x.shape[1]:
+    if samples.s.shape[0] > state.x.shape[1]:
         return
-    shown, law4, best = np.empty((n, cf.COLUMNS)), np.zeros(cf.COLUMNS), np.zeros(cf.SOLUTION)
-    used = cf.fit(samples, setup.estimate[i] == 1, shown, law4, best)
-    if law4[0] <= 0.0:
+    best, used = np.zeros(cf.SOLUTION), np.zeros(cf.UNKNOWNS, dtype=np.bool_)
+    cf.fit(samples, setup.estimate[i] == 1, best, used)
+    if best[cf.STIFFNESS] <= 0.0:
         return
-    delay = best[cf.DELAY] * h
-    moved = abs(delay - state.delay[i]) > 1e-12  # [s] round-off of the division by h
-    linear = used == cf.LAWS[0]
-    if linear and not moved and law[ce.FITTED] == 0.0:
+    stands = not np.any(used[cf.LINEAR :]) and not used[cf.DEEPENING]
+    if stands and law[ce.FITTED] == 0.0:
         return
-    freed = best[cf.SPREAD] > 0.0
-    state.delay_half_width[i] = best[cf.SPREAD] * h if freed else state.told[i, HALF_WIDTH]
-    state.delay[i] = delay
-    set_delay(i, delay, h, m.ideal, m.substeps, setup)
-    law[ce.STIFFNESS], law[ce.DAMPING], law[ce.TOUCH] = law4[0], law4[1], best[cf.POINT]
-    law[ce.DEEPENING], law[ce.STOP], law[ce.KNOT] = law4[2], law4[3], best[cf.KNOT]
-    law[ce.KNOWN], law[ce.ARMED], law[ce.FITTED] = 1.0, 1.0, 0.0 if linear else 1.0
+    state.delay_half_width[i] = best[cf.SPREAD] * h if used[cf.DELAY] else state.told[i, HALF_WIDTH]
+    state.delay[i] = best[cf.DELAY] * h
+    state.lag[i, 0], state.lag[i, 1] = best[cf.LAG], best[cf.DIGITAL]
+    state.drift[i, SLOPE], state.drift[i, SINCE] = best[cf.RATE], tick[FELT]
+    cf.low_pass_of(best[cf.LAG], best[cf.DIGITAL], setup.smooth[i])
+    law[ce.STIFFNESS], law[ce.DAMPING] = best[cf.STIFFNESS], best[cf.DAMPING]
+    law[ce.TOUCH], law[ce.DEEPENING] = best[cf.POINT], best[cf.DEEPENING]
+    law[ce.STOP], law[ce.KNOT] = best[cf.STOP], best[cf.KNOT]
+    law[ce.KNOWN], law[ce.ARMED], law[ce.FITTED] = 1.0, 1.0, 0.0 if stands else 1.0
     ce.restart(fit, count, best[cf.POINT] if fit[ce.SD_X] == 0.0 else fit[ce.REFERENCE])
     state.regressor[i] = 0.0
     count[ce.ABOVE] = 0
     for k in range(tick[FELT], tick[DONE] + 1):
         _take(i, m, rows, _acted(i, m, k, rows))
     _restore(i, state)
-    _move_back(i, m, tick[ANCHOR] - max(tick[FELT] - setup.late[i] - cf.LATE, 0), work)
+    late = _whole(_delay(i, m, tick[FELT]))[0]
+    _move_back(i, m, tick[ANCHOR] - max(tick[FELT] - late - cf.LATE, 0), work)
     _anchor(i, state)
 
 
@@ -203,16 +239,21 @@ def _samples(i, m):
         s[j], u[j] = state.x[i, slot, 2], state.rate[i, slot, 2]
         y[j] = state.wrench[i, slot, 2]
         peak = max(peak, y[j])
+    first = felt = tick[FELT] - start
+    while first > begin - start and y[first - 1] <= GATE_SIGMA * sigma:
+        first -= 1  # not into an earlier contact
     return cf.ContactWindow(
         s,
         u,
         y,
         max(sigma * sigma, (ce.MODEL_ERROR * peak) ** 2),
-        begin - start,
-        tick[FELT] - start,
+        np.ones(n),
+        first,
+        felt,
         m.substeps,
         m.ideal,
-        setup.smooth[i],
+        state.told[i, SMOOTHED],
+        state.told[i, DIGITAL],
         setup.leak[i],
         told,
         state.told[i, EXPECTED],
@@ -266,9 +307,9 @@ def catch_up(i, m, work, rows):
     """Advance the delayed model as far as the last reading allows; re-run it from the touch when
     the samples have doubled.
     """
-    setup, state = m.setup, m.state
+    state = m.state
     tick, count = state.tick[i], state.count[i]
-    last = tick[DONE] - setup.late[i]
+    last = tick[DONE] - _whole(_delay(i, m, tick[DONE]))[0]
     if (
         tick[ANCHOR] >= 0
         and count[ce.SAMPLES] >= tick[NEXT_RERUN]
@@ -290,10 +331,14 @@ def _step_delayed(i, m, j, work, rows):
     fixed, bodies, setup, state = m.fixed, m.bodies, m.setup, m.state
     length = state.x.shape[1]
     pose, twist, used, line, law = rows[0], rows[1], rows[2], state.line[i], state.law[i]
-    known, part = j + setup.late[i], setup.part[i]
-    late, early = state.wrench[i, known % length], state.wrench[i, (known - 1) % length]
+    # the reading at tick k acted at j = k - delay(k)
+    late, part = _whole(_delay(i, m, j) / (1.0 - state.drift[i, SLOPE]))
+    known = j + late
+    read, before = state.wrench[i, known % length], state.wrench[i, (known - 1) % length]
     for c in range(6):
-        used[c] = late[c] if part == 0.0 or known == 0 else (1.0 - part) * late[c] + part * early[c]
+        used[c] = (
+            read[c] if part == 0.0 or known == 0 else (1.0 - part) * read[c] + part * before[c]
+        )
     x, v = state.x[i, j % length], state.rate[i, j % length]
     relative_motion(state.q[i, 0], state.v[i, 0], bodies.port[i], work, pose, twist)
     wrench_at_A(used, x, used)
@@ -344,16 +389,3 @@ def _silent(wrench, sigma):
         if abs(wrench[c]) > GATE_SIGMA * sigma[0]:
             return False
     return True
-
-
-@njit(cache=True)
-def set_delay(i, delay, h, ideal, substeps, setup):
-    """Set a delay [s] as whole ticks and a fraction. The sensor interpolates its reading between
-    substeps; so is the rate weighted.
-    """
-    ticks = delay / h
-    late = math.ceil(ticks - 1e-9)
-    part = min(max(late - ticks, 0.0), 1.0)
-    setup.late[i] = late
-    setup.part[i] = part
-    setup.weight[i] = min(1.0, part * substeps) if ideal else part

@@ -33,6 +33,7 @@ measurements (H. Alexander, "State estimation for distributed systems with sensi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -45,13 +46,13 @@ from hiltestbed.compensation.resynchronised import contact_estimate as ce
 from hiltestbed.compensation.resynchronised.delayed_model import (
     ANCHOR,
     DONE,
+    DRIFT,
     HISTORY,
     TICK,
     TOLD,
     catch_up,
     identify,
     remember,
-    set_delay,
 )
 from hiltestbed.compensation.resynchronised.predictor import predict
 from hiltestbed.compiled.bound import GIVEN, Call
@@ -85,9 +86,6 @@ class NominalBodies(NamedTuple):
 class Setup(NamedTuple):
     """Numbers of each run, ``(n, ...)``."""
 
-    late: Integers  # delay of the force in whole ticks, rounded up
-    part: Array  # fraction of a tick by which the delay is shorter than that
-    weight: Array  # of the later of the two velocities between which the force acted
     smooth: Array  # (n, 2) weights per tick of the sensor's low-pass
     leak: Array  # (n, 2) factors per tick of its high-pass
     skip: Integers  # samples skipped after the touch because of the low-pass's memory
@@ -118,6 +116,9 @@ class State(NamedTuple):
         Array  # (n, 2, FILTERED) filter states of the law's force at the rig, now and at the touch
     )
     delay: Array  # (n,) [s] nominal or estimated
+    drift: Array  # (n, DRIFT) of the delay
+    # (n, 2) [ticks] time constant of the low-pass, nominal or estimated; whether it is digital
+    lag: Array
     delay_half_width: Array  # (n,) [s] of an estimated delay; 0: nominal
     told: Array  # (n, TOLD) what was believed when this contact began
     used: Array  # (n, 6) wrench in the delayed model's last step
@@ -184,7 +185,7 @@ class ResynchronisedDrive:
         bodies = NominalBodies(
             model.port, model.mass, model.inertia, np.linalg.inv(model.inertia).astype(np.float64)
         )
-        self.state = _state(scenarios, given, model, int(setup.late.max()))
+        self.state = _state(scenarios, given, model)
         flat, prescribed = scenarios[0].mechanism.flat, scenarios[0].rig.platform.prescribed
         copy = Copy(h, flat, prescribed, float(scenarios[0].substeps), bodies, setup, self.state)
         # a bumper has no latches
@@ -208,12 +209,8 @@ class ResynchronisedDrive:
 
 
 def _setup(scenarios: Sequence[Scenario], given: Sequence[PredictionParameters], h: float) -> Setup:
-    n = len(scenarios)
     lowpass, leak = filters_of(scenarios)
-    setup = Setup(
-        late=np.zeros(n, dtype=np.int64),
-        part=np.zeros(n),
-        weight=np.zeros(n),
+    return Setup(
         smooth=low_pass(lowpass, h),
         leak=high_pass(leak, h),
         skip=np.ceil(FILTER_MEMORY * lowpass / h).astype(np.int64),
@@ -222,20 +219,16 @@ def _setup(scenarios: Sequence[Scenario], given: Sequence[PredictionParameters],
         shares=np.array([f.shares for f in given]),
         estimate=np.array([int(f.estimate) for f in given]),
     )
-    ideal = scenarios[0].rig.platform.prescribed
-    for i, s in enumerate(scenarios):
-        set_delay(i, s.sensor.delay, h, ideal, float(s.substeps), setup)
-    return setup
 
 
 def _state(
     scenarios: Sequence[Scenario],
     given: Sequence[PredictionParameters],
     model: NumericalModel,
-    late: int,
 ) -> State:
     n = model.n
     rows = [ce.unknown() if f.known is None else ce.prior(*f.known) for f in given]
+    late = math.ceil(max(s.sensor.delay for s in scenarios) / model.tick)
     spare = late + 64  # an estimated delay may be longer than the nominal one
     length = HISTORY + 2 * spare
     line = np.zeros((n, 3, 6))
@@ -258,6 +251,8 @@ def _state(
         pending=np.zeros((n, 4)),
         filtered=np.zeros((n, 2, FILTERED)),
         delay=np.array([s.sensor.delay for s in scenarios]),
+        drift=np.zeros((n, DRIFT)),
+        lag=np.stack([filters_of(scenarios)[0] / model.tick, np.zeros(n)], axis=1),
         delay_half_width=np.zeros(n),
         told=np.zeros((n, TOLD)),
         used=np.zeros((n, 6)),
