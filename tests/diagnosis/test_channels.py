@@ -25,8 +25,9 @@ from .recorded import dataset_of, only, with_noise
 
 # a quarter of a tick of its rate is worth 2 N of 5700 N
 DAMPED = ("06-two-eight-tonne-vehicles", {"duration": 1.2, "approach.gap": 0.02})
-# a delay that the loop finds moves the drives within a tick, as no record without pose_act shows
-KNOWN = {"kind": "resynchronised", "delay": "known"}
+# what the loop finds of the contact is blended into the command slowly: within 2 ms, the default, it
+# moves the drives between two rows, as no record shows
+KNOWN = {"kind": "resynchronised", "delay": "known", "blending": 0.01}
 SLIDE = ("05-off-centre", {"duration": 0.7, "compensation.force": KNOWN})
 RINGING = ("13-ring-down", {"duration": 1.5})
 DOCKING = ("09-docking", {})
