@@ -51,6 +51,8 @@ DEPARTING, LEAST_SHARE = 2.0, 0.03
 # of the curvature of a number, that is added to it at first: so little that a direction that only
 # priors determine is followed at once
 LEAST_DAMPING = 1e-9
+# the same where the noise is not known: the cost, a logarithm of mean squares, is no parabola
+FIRST_DAMPING = 1e-3
 NEAR = 1e-3  # of a range, within which an estimate stands at its end
 LEAST_COUNT = 4.0  # a run of which fewer samples are independent tells no variance
 
@@ -247,7 +249,8 @@ class Likelihood:
         causes, nothing = tuple(causes), np.zeros(len(self._sigma))
         eta = nothing if nuisances is None else nuisances
         found = self._fit_from(causes, starts, eta, iterations, known)
-        if not causes or not np.any(np.abs(eta := found.of.nuisances) > self._sigma):
+        eta = found.of.nuisances
+        if not self.model.noise_known or not causes or not np.any(np.abs(eta) > self._sigma):
             return found
         # what a time stands in for, a cause may explain
         late = sum(v for v, n in zip(eta, self.model.nuisances, strict=True) if n.unit == "s")
@@ -368,12 +371,14 @@ class Likelihood:
 
     def scale(self, x: Array, low: Array, high: Array, log: np.ndarray) -> Array:
         """Of each number, in which it is differentiated and limited: its size, but not less than a
-        hundredth of its range; of a nuisance, than its standard deviation.
+        hundredth of its range; of a nuisance its standard deviation, or its size where the noise is
+        known and a nuisance may be many of them.
         """
         width = np.where(np.isfinite(high - low), high - low, 1.0)
         out = np.where(log, np.abs(x), np.maximum(np.abs(x), 0.01 * width))
         nuisances = slice(len(x) - len(self._sigma), None)
-        out[nuisances] = np.maximum(np.abs(x[nuisances]), self._sigma)
+        size = np.abs(x[nuisances]) if self.model.noise_known else 0.0
+        out[nuisances] = np.maximum(size, self._sigma)
         return out
 
     def promises(
@@ -503,7 +508,8 @@ class Likelihood:
         and differenced again where a step with them fails.
         """
         low, high, log = bounds
-        damping, fresh = LEAST_DAMPING, False
+        known = self.model.noise_known
+        damping, fresh = LEAST_DAMPING if known else FIRST_DAMPING, False
         for _ in range(iterations):
             if not len(x) or not math.isfinite(cost):
                 break
@@ -532,7 +538,7 @@ class Likelihood:
             )
             x, left, cost = moved, shown, new
             if gain < min(CONVERGED * float(self.counts.sum()), LEAST_CHANGE):
-                if fresh or iterations < ITERATIONS:
+                if fresh or (known and iterations < ITERATIONS):
                     break
                 slopes = None
                 continue
