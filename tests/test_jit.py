@@ -7,7 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+
 import hiltestbed
+from hiltestbed.compiled.jit import INTERPRETED_CALLS, Seldom
+from hiltestbed.frames import quat_mul
 from tests.slow import SLOW
 
 LAW = """
@@ -149,3 +153,11 @@ def test_a_kernel_inside_another_is_the_kernel_that_python_calls(tmp_path: Path)
     said = [printed(tmp_path, "inside.py", INSIDE, what) for what in ("", "", "changed")]
     assert said == ["10.0 5.0 below zero"] * 2 + ["10.0 11.0 5.0 below zero"]
     assert list(tmp_path.rglob("inner-inside.inner*.nbc"))
+
+
+def test_a_kernel_that_is_seldom_called_gives_the_same_before_and_after_it_is_compiled() -> None:
+    a, b = np.random.default_rng(1).normal(size=(2, 4))
+    seldom, found = Seldom(quat_mul), np.empty((INTERPRETED_CALLS + 2, 4))
+    for out in found:
+        seldom(a, b, out)
+    assert (found == found[0]).all()

@@ -39,6 +39,7 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
+from hiltestbed.numerical_model.kernels import solve
 from hiltestbed.sensor.chain import FILTERED, filtered
 
 # Columns of a solution: the unknowns, LINEAR of them in the law; [N/m, N s/m, ...], positions [m],
@@ -411,24 +412,17 @@ def _descend(m, p, used, work):
             for e in range(UNKNOWNS):
                 a[c, e] = matrix[c, e]
             a[c, c] = matrix[c, c] * (1.0 + damp)
+            d[c] = gradient[c]
             if not used[c] or matrix[c, c] <= 0.0 or (c < LINEAR and p[c] <= 0.0):
                 a[c, :] = 0.0
                 a[:, c] = 0.0
                 a[c, c] = 1.0
-        if not _cholesky(a):
+                d[c] = 0.0
+        solve(a, d, a)
+        if not np.all(np.isfinite(d)):  # not positive definite
             damp *= 10.0
             fresh = False
             continue
-        for c in range(UNKNOWNS):
-            rest = gradient[c] if used[c] and a[c, c] != 1.0 else 0.0
-            for e in range(c):
-                rest -= a[c, e] * d[e]
-            d[c] = rest / a[c, c]
-        for c in range(UNKNOWNS - 1, -1, -1):
-            rest = d[c]
-            for e in range(c + 1, UNKNOWNS):
-                rest -= a[e, c] * d[e]
-            d[c] = rest / a[c, c]
         trial[:] = p
         for c in range(LINEAR, UNKNOWNS):
             if used[c]:
