@@ -408,11 +408,9 @@ def _descend(m, p, used, work):
                     precision = 1.0 / prior_sd(m, c) ** 2
                     matrix[c, c] += precision
                     gradient[c] -= (p[c] - _told(m, c)) * precision
+        a[:], d[:] = matrix, gradient
         for c in range(UNKNOWNS):
-            for e in range(UNKNOWNS):
-                a[c, e] = matrix[c, e]
-            a[c, c] = matrix[c, c] * (1.0 + damp)
-            d[c] = gradient[c]
+            a[c, c] *= 1.0 + damp
             if not used[c] or matrix[c, c] <= 0.0 or (c < LINEAR and p[c] <= 0.0):
                 a[c, :] = 0.0
                 a[:, c] = 0.0
