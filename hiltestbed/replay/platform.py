@@ -33,8 +33,7 @@ class PlatformLane(NamedTuple):
 
     Attributes:
         start, velocity: (3,) of the approach. late: ticks from a command to the platform's answer;
-            at_start: the part of it that the log adds. h: tick [s]. begun: [s] by which the log is
-            early.
+            at_start: the part of it that the log adds. h: tick [s].
         parts, steps: (M,) ends of the steps as fractions of a tick, and their durations [s].
             moves: number of those that end at an instant; phase: of the instants.
         ends, long: (4,) ends of up to three groups of steps, over each of which the delayed command
@@ -42,7 +41,7 @@ class PlatformLane(NamedTuple):
         step, speed, play, stick, eager, scale, drive: see
             :class:`~hiltestbed.platform.parameters.PlatformParameters`; eager: its ``begun``.
         w: (S,) natural frequencies of lags and modes [rad/s].
-        over_step, over_group, over_begun: propagators of lags and modes, (M, S, 5) each.
+        over_step, over_group: propagators of lags and modes, (M, S, 5) each.
     """
 
     start: Array
@@ -50,7 +49,6 @@ class PlatformLane(NamedTuple):
     late: float
     at_start: float
     h: float
-    begun: float
     parts: Array
     steps: Array
     moves: int
@@ -67,7 +65,6 @@ class PlatformLane(NamedTuple):
     w: Array
     over_step: tuple[Array, Array]
     over_group: tuple[Array, Array]
-    over_begun: tuple[Array, Array]
 
 
 def replay_platform(
@@ -76,7 +73,6 @@ def replay_platform(
     commands: Array,
     run: np.ndarray,
     obeyed: Array | None = None,
-    early: Array | None = None,
 ) -> Array:
     """``(L, N, 3)`` positions of A in P [m] at t_k that platforms reach on recorded commands.
 
@@ -90,21 +86,16 @@ def replay_platform(
             reached at t_(k+1).
         obeyed: (L,) [s] by which commands take effect later than at t_k, on a platform that is
             where its delay alone has it at t = 0.
-        early: (L,) [s], not negative, by which commands are on record earlier than they were given:
-            at t = 0 the platform has approached for as long.
     """
     obeyed = np.zeros(len(run)) if obeyed is None else obeyed
-    early = np.zeros(len(run)) if early is None else early
     out = np.empty((len(run), commands.shape[1], 3))
     for i, (s, p) in enumerate(zip(scenarios, parameters, strict=True)):
-        lane = _lane(s, p, scenarios[0].tick, float(obeyed[i]), float(early[i]))
+        lane = _lane(s, p, scenarios[0].tick, float(obeyed[i]))
         _replay(commands[run[i]], lane, out[i])
     return out
 
 
-def _lane(
-    s: Scenario, p: PlatformParameters, tick: float, obeyed: float, early: float
-) -> PlatformLane:
+def _lane(s: Scenario, p: PlatformParameters, tick: float, obeyed: float) -> PlatformLane:
     late = (float(p.delay) + obeyed) / tick
     bend = late - math.floor(late)
     straight = min(bend, 1.0 - bend) < ON_AN_INSTANT
@@ -120,14 +111,12 @@ def _lane(
         ends[1:3] = (bent, bent + 1) if bent > 0 else (1, count)
     steps, long = np.diff(parts, prepend=0.0) * tick, np.diff(ends) / count * tick
     lag, mode = (np.array(x, dtype=float).reshape(-1, 2) for x in (p.lag, p.mode))
-    velocity = np.array(s.approach.velocity, dtype=float)
     return PlatformLane(
-        start=np.array([*s.approach.offset, -s.approach.gap]) + early * velocity,
-        velocity=velocity,
+        start=np.array([*s.approach.offset, -s.approach.gap], dtype=float),
+        velocity=np.array(s.approach.velocity, dtype=float),
         late=late,
         at_start=obeyed / tick,
         h=tick,
-        begun=early,
         parts=parts,
         steps=steps,
         moves=count - (p.phase > 0.0),
@@ -144,7 +133,6 @@ def _lane(
         w=np.concatenate([lag[:, 0], mode[:, 0]]),
         over_step=_propagators(lag, mode, steps),
         over_group=_propagators(lag, mode, long),
-        over_begun=_propagators(lag, mode, np.array([early])),
     )
 
 
@@ -163,9 +151,9 @@ def _propagators(lag: Array, mode: Array, steps: Array) -> tuple[Array, Array]:
 @njit(cache=True)
 def _replay(commands, lane, out):
     """Write the positions (N, 3) on ``commands`` (N, >= 3)."""
-    h, late, begun, stick, learned = lane.h, lane.late, lane.begun, lane.stick, lane.step
+    h, late, stick, learned = lane.h, lane.late, lane.stick, lane.step
     lag, mode = lane.over_step
-    count, limits = len(lane.parts), (lane.speed, lane.play, stick)
+    count = len(lane.parts)
     lagged, shaken = np.zeros((lag.shape[1], 2)), np.zeros((mode.shape[1], 2))
     memory, driven, saved = np.zeros(MEMORY), np.zeros(STATE), np.zeros((len(lane.w), 2))
     state = lagged, shaken, memory, driven
@@ -180,17 +168,16 @@ def _replay(commands, lane, out):
             out[1:, axis] *= scale
             continue
         unlimited = lane.play == 0.0 and lane.speed == np.inf and driving[W] == 0.0
-        if plain and begun == 0.0 and stick > 0.0 and unlimited and linear:
+        if plain and stick > 0.0 and unlimited and linear:
             held = commanded(command, start, velocity, min(lane.at_start - late, 0.0), h)
             obeying = Obeying(h, late, lane.moves, lane.phase)
             stick_to(command, held, start, velocity, obeying, stick, scale, out[:, axis])
             continue
         if not plain:
             _sum_up(command, start, h, sums)
-        first = -begun / h
-        before = _answered(command, sums, learned, start, velocity, first - late, h)
+        before = _answered(command, sums, learned, start, velocity, -late, h)
         # it starts no earlier, and does not wait for what it obeys late
-        rest = first - max(late - lane.at_start, 0.0)
+        rest = -max(late - lane.at_start, 0.0)
         rest = _answered(command, sums, learned, start, velocity, rest, h)
         share = 1.0 if plain else learned[len(learned) // 2 + int(learned[0])]
         memory[:] = rest
@@ -199,11 +186,6 @@ def _replay(commands, lane, out):
         driven[RATE] = share * velocity
         lagged[:, 1] = shaken[:, 1] = lane.eager * driven[RATE]
         out[0, axis] = start
-        if begun > 0.0:
-            after = _answered(command, sums, learned, start, velocity, -late, h)
-            lags, modes = lane.over_begun
-            follow_behind(before, after, begun, limits, driving, lags[0], modes[0], state)
-            before = after
         even = plain and stick > 0.0 and lane.phase == 0.0
         simple = even and np.count_nonzero(lane.w) <= 1 and driving[W] == 0.0
         for k in range(len(out) - 1):

@@ -32,9 +32,9 @@ ROUND_OFF = 1e-14
 PLATFORM = [kind for kind, cls in EFFECTS.items() if cls.link == "platform"]
 
 
-def place_of(s: Scenario, p: PlatformParameters, pose: Array, *times: Array | None) -> Array:
-    """(N, 3) of one run; times: by how much its commands are obeyed late, are on record early."""
-    return np.asarray(replay_platform([s], [p], pose, np.zeros(1, int), *times)[0])
+def place_of(s: Scenario, p: PlatformParameters, pose: Array, late: Array | None = None) -> Array:
+    """(N, 3) of one run; late: (1,) [s] by which its commands are obeyed late."""
+    return np.asarray(replay_platform([s], [p], pose, np.zeros(1, int), late)[0])
 
 
 def test_every_effect_of_the_platform_acts_in_the_replay_as_in_the_loop() -> None:
@@ -178,27 +178,6 @@ def approaching(ticks: int = 300) -> tuple[Scenario, Array]:
     return s, pose
 
 
-def test_a_command_on_record_early_moves_the_platform_as_early_and_starts_no_vibration() -> None:
-    """The approach is uniform, so that a mode that moves with it from the start does not vibrate,
-    whenever its command is stamped.
-    """
-    s, pose = approaching()
-    p = PlatformParameters(s.tick)
-    p.mode = [(2.0 * np.pi * 20.0, 0.02)]
-    rows = 0.4 * s.tick
-    early = pose.copy()
-    early[0, :-1, :3] = 0.6 * pose[0, :-1, :3] + 0.4 * pose[0, 1:, :3]
-    there = place_of(s, p, pose)
-    begun, not_begun = (place_of(s, p, early, None, np.array([e])) for e in (rows, 0.0))
-    expected = 0.6 * there[:-1] + 0.4 * there[1:]
-    quiet = slice(0, 140)  # before the command brakes
-    speed = np.abs(s.approach.velocity).max()
-    assert np.abs(begun[:-1] - expected)[quiet].max() < 1e-12
-    assert np.abs(not_begun[:-1] - expected)[quiet].max() > 0.3 * rows * speed
-    # the command's bend is cut at its corner
-    assert np.abs(begun[:-2] - expected[:-1]).max() < 1e-3 * rows * speed
-
-
 def test_what_is_obeyed_late_joins_what_is_obeyed_at_once() -> None:
     """With a delay of its own beside it, the platform is where that delay has it at the start."""
     s, pose = approaching()
@@ -206,16 +185,3 @@ def test_what_is_obeyed_late_joins_what_is_obeyed_at_once() -> None:
     p.mode, p.delay = [(2.0 * np.pi * 20.0, 0.02)], 1.4 * s.tick
     at_once, hardly = (place_of(s, p, pose, np.array([e * s.tick])) for e in (0.0, 1e-6))
     assert np.abs(hardly - at_once).max() < 1e-5 * s.tick * np.abs(s.approach.velocity).max()
-
-
-def test_a_command_a_row_early_moves_a_lag_a_row_early_from_the_start_on() -> None:
-    """A lag starts at its command and falls behind it: it does so from the time at which the
-    platform starts, before the record does.
-    """
-    s, pose = approaching()
-    p = PlatformParameters(s.tick)
-    p.lag, p.delay = [(2.0 * np.pi * 20.0, 0.7)], 0.3 * s.tick
-    early = np.concatenate([pose[:, 1:], pose[:, -1:]], axis=1)
-    there = place_of(s, p, pose)
-    found = place_of(s, p, early, None, np.array([s.tick]))
-    assert np.abs(found[1:-2] - there[2:-1]).max() < 1e-13

@@ -36,8 +36,7 @@ class Timing(Effect):
         delay: [s] by which the output of a link is stamped later than believed; negative: earlier.
         before: [s] by which its input acts later, or is stamped earlier. This differs from a late
             output where the output goes on without an input, and where noise passes from input to
-            output. For contact and sensor: by which the reading is interpolated later between its
-            rows, whereas ``delay`` shifts the instant at which it is read.
+            output: of a compensation and a numerical model.
         obeyed: [s] by which a platform obeys its command later, on all six axes.
         old: share of the old twist in a new pose of the numerical model: 0 is semi-implicit, 1
             would be explicit Euler.
@@ -142,16 +141,6 @@ class ModelLink(ABC):
             if isinstance(effect, Timing):
                 place = place.plus(effect)
         return place
-
-    def _between(self, i: int, shown: Array, timing: Timing) -> Array:
-        """(N, C) prediction of run i with a late output, or an early input.
-
-        A linear response to an input between two rows lies between the rows of the output, noise
-        included; interpolation lowers that noise.
-        """
-        tick, given = self.runs[i].scenario.tick, self.runs[i].measured
-        out = moved(shown, timing.delay / tick)
-        return given - (moved(given, -timing.before / tick) - out) if timing.before else out
 
     @property
     def tick(self) -> float:

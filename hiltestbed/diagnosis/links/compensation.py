@@ -16,6 +16,8 @@ from hiltestbed.diagnosis.links.base import (
     Lane,
     LinkRun,
     ModelLink,
+    Timing,
+    moved,
     padded,
     smoothed,
     whitening_filter,
@@ -81,6 +83,16 @@ class CompensationLink(ModelLink):
             self._between(i, wrench[: self.runs[i].rows], self.timing_with(effects))
             for wrench, (i, effects) in zip(found, lanes, strict=True)
         ]
+
+    def _between(self, i: int, shown: Array, timing: Timing) -> Array:
+        """(N, C) prediction of run i with a late output, or an early input.
+
+        A linear response to an input between two rows lies between the rows of the output, noise
+        included; interpolation lowers that noise.
+        """
+        tick, given = self.runs[i].scenario.tick, self.runs[i].measured
+        out = moved(shown, timing.delay / tick)
+        return given - (moved(given, -timing.before / tick) - out) if timing.before else out
 
     def _reading(self, i: int, effects: Effects) -> Array:
         """(N, 6) the wrench that the loop used: later rows of a record that is stamped late. Where

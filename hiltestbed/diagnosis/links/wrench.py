@@ -365,9 +365,8 @@ class WrenchLink(ModelLink):
         later = [x._replace(later=x.later + n * tick) for x, n in zip(read, ahead, strict=True)]
         out = []
         found = replay_wrench(felt, later, self.reads.grid)
-        for reading, n, (i, effects) in zip(found, ahead, lanes, strict=True):
-            late = self.timing_with(effects).before / tick - n
-            out.append(moved(reading[: self.runs[i].rows], late))
+        for reading, n, (i, _) in zip(found, ahead, lanes, strict=True):
+            out.append(moved(reading[: self.runs[i].rows], -n))
         return out
 
     def _lane(self, i: int, effects: Effects) -> FeltLane:
@@ -427,9 +426,8 @@ class WrenchLink(ModelLink):
         out = np.zeros(self.runs[i].rows, dtype=bool)
         if self.jumps is None:
             return out
-        jumps, late = self.jumps[i], self.lateness(i, effects)
-        ticks = np.array([late, late + self.timing_with(effects).before]) / self.tick
-        after = np.arange(math.floor(ticks.min()) - 1, math.ceil(ticks.max()) + 2)
+        jumps, late = self.jumps[i], self.lateness(i, effects) / self.tick
+        after = np.arange(math.floor(late) - 1, math.ceil(late) + 2)
         at = np.flatnonzero(jumps > SHARE_OF_A_JUMP * jumps.max(initial=0.0))
         beside = at[:, None] + after
         out[beside[(beside >= 0) & (beside < len(out))]] = True
