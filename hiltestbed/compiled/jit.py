@@ -12,6 +12,8 @@ from operator import attrgetter
 from types import FunctionType
 from typing import Any
 
+import numpy as np
+
 # a call of the kernels that are seldom called takes 2 ms, compiling them 5 s: less than half of it
 INTERPRETED_CALLS = 1000
 
@@ -73,3 +75,13 @@ class Seldom:
             return self._kernel(*args)
         self._left -= 1
         return interpreted(self._kernel)(*args)
+
+
+@njit(cache=True)
+def copied(values, out):
+    """Copy an array to another of its shape, in a kernel.
+
+    For ``out[:] = values``, Numba compiles the message about shapes that differ, for seconds.
+    """
+    for i, value in np.ndenumerate(values):
+        out[i] = value

@@ -17,7 +17,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.contact.composition import (
     NO_DAMPING,
     SITE,
@@ -188,7 +188,7 @@ def site_state(frame, motion, place, pose, twist):
     rotate(frame[3:7], place[0:3], pose[0:3])
     quat_mul(frame[3:7], place[3:7], pose[3:7])
     x, y, z = pose[0], pose[1], pose[2]
-    twist[:] = motion
+    copied(motion, twist)
     twist[0] += motion[4] * z - motion[5] * y
     twist[1] += motion[5] * x - motion[3] * z
     twist[2] += motion[3] * y - motion[4] * x

@@ -17,7 +17,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from hiltestbed.compiled.bound import GIVEN, Call
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.frames import Array, quat_mul, rotate, sin_cos
 
 if TYPE_CHECKING:
@@ -102,9 +102,9 @@ def _observe(qpos, qvel, adr, tilt, points, place, motion, centre, balance):
 @njit(cache=True)
 def _ride(carrier, speed, tilt, offset, place, motion, centre):
     for i in range(place.shape[0]):
-        place[i, 0:3] = carrier[i, 0:3]  # a tilt rotates about P's origin
+        copied(carrier[i, 0:3], place[i, 0:3])  # a tilt rotates about P's origin
         quat_mul(carrier[i, 3:7], tilt[i, 3:7], place[i, 3:7])
-        motion[i] = speed[i]
+        copied(speed[i], motion[i])
         rotate(carrier[i, 3:7], offset, centre[i])
         for j in range(3):
             centre[i, j] += carrier[i, j]

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.contact.phases import Phases
 from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.mounting import Mounting
@@ -98,8 +98,8 @@ def _within(pose, before, twist, tick, limits, q):
     for i in range(q.shape[0]):
         if not q[i] <= limits[i]:  # true for NaN as well
             return False
-    before[:] = pose
-    twist[:] = slope
+    copied(pose, before)
+    copied(slope, twist)
     return True
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call, bound
-from hiltestbed.compiled.jit import interpreted, njit
+from hiltestbed.compiled.jit import copied, interpreted, njit
 from hiltestbed.contact.wrench import relate
 from hiltestbed.frames import Array, pose_compose, pose_step, twist_between
 from hiltestbed.platform.driven import ServoTracking
@@ -74,7 +74,7 @@ def _plan(upper, h, settle, pose, diverged, motion):
     busy = False
     goal, before, arm = np.empty(3), np.empty(7), np.empty(3)
     for i in range(pose.shape[0]):
-        goal[:] = x[i]
+        copied(x[i], goal)
         share(pose[i], goal)
         moves = False
         for j in range(3):
@@ -93,9 +93,9 @@ def _plan(upper, h, settle, pose, diverged, motion):
         still[i] = 0 if moves else still[i] + 1
         away[i] = still[i] <= settle and not diverged[i]
         busy = busy or away[i] or motion.was_away[i]
-        before[:] = planned[i]
+        copied(planned[i], before)
         if moves:
-            x[i] = goal
+            copied(goal, x[i])
             place(upper.shape, goal, planned[i])
             twist_between(before, planned[i], h, slope[i])
             for j in range(3):
@@ -103,9 +103,9 @@ def _plan(upper, h, settle, pose, diverged, motion):
         else:
             slope[i] = 0.0
             sliders[i] = 0.0
-        motion.reached[i] = planned[i]
-        motion.twist[i] = slope[i]
-        motion.slid[i] = sliders[i]
+        copied(planned[i], motion.reached[i])
+        copied(slope[i], motion.twist[i])
+        copied(sliders[i], motion.slid[i])
     return busy
 
 
@@ -216,15 +216,17 @@ def _command(h, upper, command, pose, twist, accel):
     for i in range(pose.shape[0]):
         home = x[i, 0] == 0.0 and x[i, 1] == 0.0 and x[i, 2] == 0.0
         if home and command.was_home[i]:
-            command.pose[i], command.twist[i], command.accel[i] = pose[i], twist[i], accel[i]
+            copied(pose[i], command.pose[i])
+            copied(twist[i], command.twist[i])
+            copied(accel[i], command.accel[i])
         else:
             pose_compose(upper.planned[i], pose[i], command.pose[i])
             twist_between(before[i], command.pose[i], h, command.twist[i])
             for j in range(6):
                 command.accel[i, j] = (command.twist[i, j] - slope[i, j]) / h
         command.was_home[i] = home
-        before[i] = command.pose[i]
-        slope[i] = command.twist[i]
+        copied(command.pose[i], before[i])
+        copied(command.twist[i], slope[i])
 
 
 @njit(cache=True)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.contact.geometry import ROUND_FRAME, ROW, Geometry, Met, arm, meet, unmet
 from hiltestbed.contact.law import STATES
 from hiltestbed.contact.mount import mount_place
@@ -99,7 +99,8 @@ def scene_of(path, p, tilt):
     """A :class:`Scene` before the first row of a :class:`Trajectory`."""
     count = p.shape[0] - 1
     frames, hold = np.zeros((2, 7)), np.zeros(7)
-    frames[1], hold[6] = tilt, 1.0
+    copied(tilt, frames[1])
+    hold[6] = 1.0
     return Scene(
         path.geometry,
         p,
@@ -160,7 +161,7 @@ def contact_along(path, mount, p, tilt, parts, between, sub):
                 passed = parts[s]
                 continue
             if s > 0 and (parts[s] == parts[s - 1] or not (between or remembers)):
-                sub[k, s] = sub[k, s - 1]
+                copied(sub[k, s - 1], sub[k, s])
                 continue
             dt = h * (parts[s] - passed)
             passed = parts[s]
@@ -179,7 +180,7 @@ def contact_along(path, mount, p, tilt, parts, between, sub):
                     _exert(scene, dt, True, wrench)
                     continue
                 before = wrench.copy()
-                scene.slipped[:] = scene.met.slip
+                copied(scene.met.slip, scene.slipped)
                 if law[MODE] > 0.0:  # the frame swings back towards surfaces that are apart
                     sides = scene.frames, scene.motions
                     meet_all(scene.geometry, p, *sides, scene.work, scene.met)
@@ -196,9 +197,9 @@ def contact_along(path, mount, p, tilt, parts, between, sub):
             if mount.there:
                 mount_reading(mount.stiffness, mount.damping, moving[0], moving[2], sub[k, s])
             else:
-                sub[k, s] = wrench
+                copied(wrench, sub[k, s])
         if may_latch:
-            scene.motions[0] = path.ends[k]
+            copied(path.ends[k], scene.motions[0])
             latched = _latches(scene, path.latch, mount.leapfrog)
 
 
@@ -228,7 +229,8 @@ def _apart(path, mount, scene, moving, bounds, k):
 @njit(cache=True)
 def _to_row(path, mount, scene, moving, k):
     """Both sides as they are at row k."""
-    scene.frames[0], scene.motions[0] = path.poses[k], path.ends[k]
+    copied(path.poses[k], scene.frames[0])
+    copied(path.ends[k], scene.motions[0])
     if mount.there:
         mount_place(moving[0], moving[2], scene.tilt, scene.frames[1], scene.motions[1])
 
@@ -243,7 +245,8 @@ def _carry(path, scene, leapfrog, k, at):
         slopes = path.twists[k], begin, ends[k]
         _within(last, slopes, path.tick, at, scene.frames[0], scene.motions[0])
         return
-    scene.frames[0], scene.motions[0] = poses[k], ends[k]
+    copied(poses[k], scene.frames[0])
+    copied(ends[k], scene.motions[0])
     # where the twist jumps: this force is of either tick
     if leapfrog and not path.bent and k + 1 < poses.shape[0]:
         for j in range(6):
@@ -335,7 +338,7 @@ def meet_next(scene, longest):
         + (seen[0, 2] - seen[1, 2]) ** 2
     )
     moved = way_between(seen[0], frames[0], reach) + way_between(seen[1], frames[1], reach)
-    seen[:] = frames
+    copied(frames, seen)
     a = -1
     for c in range(depth.shape[0]):
         ahead = max(0.0, -scene.p[c, OFFSET])

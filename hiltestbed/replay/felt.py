@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.contact.geometry import Geometry, arm, unmet
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import BLUNT, OFFSET, PARAMETERS
@@ -155,9 +155,10 @@ def _meet(geometry, blunt, poses, twists, before, clear, depth):
     longest = arm(geometry.values, count)
     last, nearest = before, -np.inf
     for k in range(len(poses)):
-        frames[0], motions[0] = poses[k], twists[k]
+        copied(poses[k], frames[0])
+        copied(twists[k], motions[0])
         meet_all(geometry, p, frames, motions, work, met)
-        depth[k] = met.depth
+        copied(met.depth, depth[k])
         now = -np.inf
         for c in range(count):
             now = max(now, depth[k, c])

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.contact.mount_dynamics import BODY, mount_reading, mount_step
 from hiltestbed.contact.parameters import FRICTION, OFFSET
 from hiltestbed.contact.wrench import CREEP
@@ -58,7 +58,8 @@ def advance(mount, dt, wrench, q, qd, rate, last):
     """
     leapfrog = mount.leapfrog
     kick = 0.5 * (last[SPAN] + dt) if leapfrog else dt  # half a step at the start
-    last[:6], last[SPAN] = qd, dt
+    copied(qd, last[:6])
+    last[SPAN] = dt
     mount_step(mount.stiffness, mount.damping, mount.body, kick, dt, leapfrog, wrench, q, qd)
     for j in range(6):
         rate[j] = qd[j] + 0.5 * dt / kick * (qd[j] - last[j]) if leapfrog else qd[j]
@@ -77,7 +78,7 @@ def touched(depth, closing, p, dt, meets, slip, slipped):
     for c in range(depth.shape[0]):
         deep = depth[c] - p[c, OFFSET]
         if deep > 0.0 and not meets[c]:
-            slipped[c] = slip[c]
+            copied(slip[c], slipped[c])
             part = max(part, min(deep / (closing[c] * dt), 1.0) if closing[c] > 0.0 else 1.0)
         meets[c] = deep > 0.0
     return part
@@ -144,7 +145,7 @@ def swing_freely(mount, h, parts, nothing, q, qd, rate, last, sub):
     passed = 0.0
     for s in range(parts.shape[0]):
         if s > 0 and parts[s] == parts[s - 1]:
-            sub[s] = sub[s - 1]
+            copied(sub[s - 1], sub[s])
             continue
         advance(mount, h * (parts[s] - passed), nothing, q, qd, rate, last)
         passed = parts[s]

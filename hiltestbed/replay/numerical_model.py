@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose
 from hiltestbed.numerical_model.kernels import (
@@ -97,17 +97,19 @@ def _replay_model(wrench, run, approach, bodies, hung, laws, h, state, out):
     run_back(pose, twist, h, handed)
     for k in range(wrench.shape[1]):
         for i in range(n):
-            push[i] = wrench[run[i], k]
+            copied(wrench[run[i], k], push[i])
         resist_between(force, q, v, port, rigid, inverse, h, push)
         load_wrench(q, port, push, tau)
         resist_bodies(force, v, rigid, h, tau)
         swing(hung, (whole, rigid), q, v, h, swinging, tau)
-        before[:] = v
+        copied(v, before)
         newton_euler(rigid, inertia, inverse, tau, h, v)
         for i in range(n):
             if old[i] < 1.0:
-                before[i] = v[i] + old[i] * (before[i] - v[i])
+                for b in range(2):
+                    for j in range(6):
+                        before[i, b, j] = v[i, b, j] + old[i] * (before[i, b, j] - v[i, b, j])
         move(q, before, h)
         relative_states(q, v, port, pose, twist)
         hand_on(k + 1, late, handed, pose, twist)
-        out[:, k] = pose
+        copied(pose, out[:, k])

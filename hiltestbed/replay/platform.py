@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.frames import Array
 from hiltestbed.platform.drive import PLACE, RATE, STATE
 from hiltestbed.platform.parameters import FRICTION, OFFSET, STATIC, W
@@ -164,8 +164,8 @@ def _replay(commands, lane, out):
         start, velocity, scale = lane.start[axis], lane.velocity[axis], lane.scale[axis]
         plain = learned[0] == 0.0
         if plain and _still(command, start, velocity) and not _sags(driving):
-            out[:, axis] = start
-            out[1:, axis] *= scale
+            out[:, axis] = scale * start
+            out[0, axis] = start
             continue
         unlimited = lane.play == 0.0 and lane.speed == np.inf and driving[W] == 0.0
         if plain and stick > 0.0 and unlimited and linear:
@@ -252,10 +252,12 @@ def _held_throughout(before, after, lane, group, state, saved):
     if abs(position - memory[HELD]) > margin:
         return False
     limited, played = memory[LIMITED], memory[PLAYED]
-    saved[:n], saved[n:] = lagged, shaken
+    copied(lagged, saved[:n])
+    copied(shaken, saved[n:])
     reached = follow(before, after, h, (speed, play, 0.0), lag, mode, state)
     if abs(reached - memory[HELD]) > margin:
-        lagged[:], shaken[:] = saved[:n], saved[n:]
+        copied(saved[:n], lagged)
+        copied(saved[n:], shaken)
         memory[LIMITED], memory[PLAYED] = limited, played
         return False
     return True

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.compiled.warm import threads
 from hiltestbed.contact.composition import carried_by
 from hiltestbed.contact.mount import CARRIER, MOUNTED
@@ -269,4 +269,4 @@ def step_between(pose_before, twist_before, pose, twist, dt, poses, twists):
             pose_step(
                 pose_before[i] if s == 1 else poses[s - 2, i], twists[s - 1, i], dt, poses[s - 1, i]
             )
-        poses[m - 1, i] = pose[i]
+        copied(pose[i], poses[m - 1, i])

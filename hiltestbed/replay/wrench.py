@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import get_num_threads
 
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.contact.wrench import tilts
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.log import LogParameters
@@ -160,7 +160,7 @@ def _sense(lanes, sub, between, ticks, h, elements, out):
         back = int(math.floor(ticks[i]))
         if not between and passes(i, elements):
             out[i, :back] = 0.0
-            out[i, back:] = sub[: rows - min(back, rows), 0]
+            copied(sub[: rows - min(back, rows), 0], out[i, back:])
             continue
         for k in range(rows):
             if between:

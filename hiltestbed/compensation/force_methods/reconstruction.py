@@ -31,7 +31,7 @@ from hiltestbed.compensation.force_methods.phase_lead import LAG, PhaseLeadBlock
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, force_of
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.frames import Array
 from hiltestbed.identification.held import UNTURNED, add_moment, referred
@@ -220,7 +220,8 @@ def _reconstruct_held(captured, measured, led, now, late, stiffness, damping, wr
     felt, ahead = np.empty(6), np.empty(6)
     for i in range(captured.shape[0]):
         if captured[i]:
-            felt[:], ahead[:] = measured[i], led[i]
+            copied(measured[i], felt)
+            copied(led[i], ahead)
             add_moment(-1.0, late[i], felt)
             add_moment(-1.0, now[i], ahead)
             for j in range(6):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.contact.composition import (
     ACTIVE,
     FLANGE,
@@ -154,7 +154,7 @@ def carried_load(model: mujoco.MjModel, home: Array) -> Array:
 def _read_carried(force, columns, load, data, place, runs, wrench_sub, sub):
     accel, work, carried = np.empty(6), np.empty((6, 3)), np.empty(6)
     for i in runs:
-        accel[:3] = data[i, columns[0] : columns[0] + 3]
+        copied(data[i, columns[0] : columns[0] + 3], accel[:3])
         # MuJoCo gives it in W
         rotate_back(place[i, 3:7], data[i, columns[2] : columns[2] + 3], accel[3:6])
         carry(load, SENSOR_AXES, data[i, columns[1] : columns[1] + 3], accel, work, carried)

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.frames import quat_exp, quat_mul, quat_normalise, rotate, twist_between
 from hiltestbed.platform.facilities.motion import place, tool_pose
 from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE
@@ -45,7 +45,7 @@ def add_rows(tree, w, b, point, sign, r, turns):
                     for i in range(3):
                         w.rows[r + i, a + i] += sign
                     a += 3
-                axis[:3] = w.axes[j, :3]
+                copied(w.axes[j, :3], axis[:3])
                 for c in range(3):
                     axis[3] = axis[4] = axis[5] = 0.0
                     axis[3 + c] = 1.0

@@ -19,7 +19,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.config.models import load
 from hiltestbed.contact.composition import add_passive, drawn
 from hiltestbed.contact.mount import CARRIER
@@ -122,14 +122,17 @@ def _aim(upper, masses, payload, dt, port, plan, away, xs):
                 for j in range(3):
                     step[2, j] /= share
             else:
-                step[2] = plan.steps[i, m - 1, 2]
-            step[0] = target[i]
-            step[1] = velocity[i]
+                copied(plan.steps[i, m - 1, 2], step[2])
+            copied(target[i], step[0])
+            copied(velocity[i], step[1])
             carry(payload, pose[i, 3:7], twist[i, 3:6], accel, work, load)
             rotate_back(pose[i, 3:7], load[0:3], port.load[i, s, 0:3])
             rotate_back(pose[i, 3:7], load[3:6], port.load[i, s, 3:6])
             if s < m:
-                pose[i], twist[i], target[i], velocity[i] = goal, rate, now, speed
+                copied(goal, pose[i])
+                copied(rate, twist[i])
+                copied(now, target[i])
+                copied(speed, velocity[i])
 
 
 class UpperDrives(SliderDrives):
