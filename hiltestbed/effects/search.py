@@ -89,6 +89,8 @@ class Candidate:
             ln(choices) in chi-square.
         needs: parameters, as "kind:name", without which this one means nothing: it is a part of an
             effect to which they belong.
+        linear: the parameter with which, the others given, the change of the prediction only grows,
+            or "".
     """
 
     effect: type[Departure]
@@ -101,6 +103,7 @@ class Candidate:
     variant: Mapping[str, Any] = field(default_factory=dict)
     choices: int = 1
     needs: tuple[str, ...] = ()
+    linear: str = ""
 
     @property
     def kind(self) -> str:
@@ -133,6 +136,23 @@ class Candidate:
             *sorted((k, str(v)) for k, v in {**self.fixed, **self.variant}.items()),
         )
 
+    def shapes(self) -> list[tuple[float, ...]]:
+        """Starting points that differ in more than the ``linear`` parameter, which has the
+        middle one of its values.
+        """
+        groups: dict[tuple[float, ...], list[tuple[float, ...]]] = {}
+        for start in self.grid:
+            groups.setdefault(self._shape(start), []).append(start)
+        return [sorted(group)[len(group) // 2] for group in groups.values()]
+
+    def of_shape(self, start: tuple[float, ...]) -> list[tuple[float, ...]]:
+        """Starting points that differ from ``start`` in the ``linear`` parameter alone, and it."""
+        return [other for other in self.grid if self._shape(other) == self._shape(start)]
+
+    def _shape(self, start: tuple[float, ...]) -> tuple[float, ...]:
+        pairs = zip(self.names, start, strict=True)
+        return tuple(value for name, value in pairs if name != self.linear)
+
     def at(self, theta: Array) -> Any:
         """The effect with the free parameters at theta, unchecked."""
         values: dict[str, Any] = dict(self.fixed)
@@ -160,6 +180,7 @@ def candidate(
     variant: Mapping[str, Any] | None = None,
     choices: int = 1,
     needs: tuple[str, ...] = (),
+    linear: str = "",
     **fixed: Any,
 ) -> Candidate:
     """A candidate that starts from all combinations of ``grids`` (or from ``starts``), within
@@ -191,4 +212,5 @@ def candidate(
         variant or {},
         choices,
         needs,
+        linear,
     )

@@ -40,7 +40,9 @@ ITERATIONS = 40
 # what a parameter costs in the evidence
 CONVERGED, LEAST_CHANGE = 1e-4, 0.05
 Move = tuple[Candidate, ...]  # that join a hypothesis together
+Start = tuple[tuple[float, ...], ...]  # of each candidate of a move
 PROMISED_AT_ONCE = 64  # hypotheses whose predictions are held at once
+FITTED_SHAPES = 3  # of the starts of a move that a fit compares, the best
 # share of a number in which the prediction jumps: to each side of it that is scanned, points of the
 # scan, and the step at which the search ends
 SCAN, SCAN_POINTS, SCAN_END = 0.1, 21, 1e-3
@@ -385,31 +387,34 @@ class Likelihood:
         self, base: PosteriorFit, known: Changes, moves: Sequence[Move]
     ) -> list[tuple[float, Move, list[Array]]]:
         """Of each move beside ``base`` the evidence that it promises, the best first, and the
-        starts to fit it from: to first order at each start, all numbers of ``base`` following by
-        their slopes, ``known``.
+        starts to fit it from: to first order at each start of another shape, all numbers of
+        ``base`` following by their slopes, ``known``. Along what a move changes in proportion to
+        one of its parameters, the best size follows from one start.
 
         Where the noise is known, a move is taken to change the residuals as it does without the
         causes of ``base``: that is predicted once, and what promises most is fitted.
         """
-        gram, points = Gram.of(base.left, known), []
+        gram, begun = Gram.of(base.left, known), []
         for n, move in enumerate(moves):
-            low, high, _ = _bounds(move)
-            for start in itertools.product(*(c.grid for c in move)):
-                theta = np.clip(
-                    np.concatenate([np.array(s, dtype=float) for s in start]), low, high
-                )
-                points.append((n, theta))
-        found: dict[int, list[tuple[float, Array]]] = {}
-        for (n, theta), change in zip(points, self._changes(base, moves, points), strict=True):
+            begun += [(n, start) for start in itertools.product(*(c.shapes() for c in move))]
+        points = [(n, _started(moves[n], start)) for n, start in begun]
+        found: dict[int, list[tuple[float, Start]]] = {}
+        changes = self._changes(base, moves, points)
+        for (n, theta), (_, start), change in zip(points, begun, changes, strict=True):
             causes = (*base.causes, *moves[n])
             at = causes, np.concatenate([base.of.theta, theta, base.of.nuisances])
             reached = self._promised(base, (known, gram), moves[n], at, change)
             if reached is not None:
-                found.setdefault(n, []).append((reached, theta))
+                found.setdefault(n, []).append((reached, start))
         out = []
         for n, reached_from in found.items():
             reached_from.sort(key=lambda item: item[0])
-            starts = [np.concatenate([base.of.theta, t]) for _, t in reached_from[:3]]
+            first, *others = (start for _, start in reached_from[:FITTED_SHAPES])
+            alike = itertools.product(
+                *(c.of_shape(s) for c, s in zip(moves[n], first, strict=True))
+            )
+            thetas = [_started(moves[n], start) for start in (*alike, *others)]
+            starts = [np.concatenate([base.of.theta, theta]) for theta in thetas]
             causes = (*base.causes, *moves[n])
             out.append((self.evidence(reached_from[0][0], causes), moves[n], starts))
         return sorted(out, key=lambda item: -item[0])
@@ -595,6 +600,12 @@ def _at_end(causes: Sequence[Candidate], x: Array) -> bool:
         if np.any((at >= high - width) | lowest):
             return True
     return False
+
+
+def _started(move: Move, start: Start) -> Array:
+    """The parameters of a move at a start, within their bounds."""
+    low, high, _ = _bounds(move)
+    return np.clip(np.concatenate([np.array(s, dtype=float) for s in start]), low, high)
 
 
 def _bounds(causes: Sequence[Candidate]) -> tuple[Array, Array, np.ndarray]:

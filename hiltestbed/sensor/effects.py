@@ -151,7 +151,8 @@ class SensorGain(Effect):
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         return (
-            candidate(cls, {"factor": [0.9, 1.1]}, choices=2, axis=axis) for axis in WRENCH_AXES
+            candidate(cls, {"factor": [0.9, 1.1]}, choices=2, linear="factor", axis=axis)
+            for axis in WRENCH_AXES
         )
 
 

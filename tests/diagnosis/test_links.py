@@ -13,13 +13,13 @@ from hiltestbed.diagnosis.link_model import LinkModel
 from hiltestbed.diagnosis.links import (
     CompensationLink,
     DynamicsLink,
-    PlatformLink,
     Timing,
     WrenchLink,
     flat_pose,
 )
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.effects import Effect
+from hiltestbed.effects.table import EFFECTS
 from hiltestbed.inference.model import Hypothesis
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.replay.wrench import shifted
@@ -271,23 +271,6 @@ def test_rounding_errors_of_a_path_pass_through_spring_and_damper(factor: float)
     assert link.passed_from_input(0, ()) is None
 
 
-def test_a_command_stamped_late_begins_with_the_approach() -> None:
-    """Its first rows are not on record, which repeats what it begins with; a mode would see a stop
-    and a jump there.
-    """
-    t, mode = np.arange(1, 301) * H, [effect("platform.mode", frequency=40.0, damping_ratio=0.02)]
-    command = np.zeros((300, 7))
-    command[:, 2], command[:, 6] = -0.003 + 0.03 * (t - 0.5 * np.maximum(t - 0.15, 0.0)), 1.0
-    link = PlatformLink([link_run(scenario(), 300)], [command], [np.zeros((300, 6))])
-    late = np.concatenate([command[:1], command[:-1]])
-    other = PlatformLink(link.runs, [late], link.deflection)
-    # as it is stamped: a row before the command
-    reached = other.with_timing(Timing(before=-H)).paths(mode)[0]
-    np.testing.assert_allclose(reached[:-1, 2], link.shown(0, mode)[:-1, 2], rtol=0, atol=1e-12)
-    unknown = other.shown(0, mode)[1:, 2] - link.shown(0, mode)[:-1, 2]
-    assert np.abs(unknown[:20]).max() > 1e-5
-
-
 def test_an_interpretation_can_be_taken_back() -> None:
     """Else a search that takes one up under a wrong cause keeps it under the right one."""
     link = contact_link(seed=None)
@@ -313,3 +296,21 @@ def test_an_unknown_rate_is_worth_a_tick_of_the_damping_force() -> None:
     )
     assert np.abs(term[:90, 2, 0]).max() == 0.0  # the approach is uniform
     assert link.with_unknown_rate().runs[0].nuisances.shape == (500, 6, 2)  # type: ignore[union-attr]
+
+
+def test_the_starts_of_one_shape_change_a_reading_alike() -> None:
+    """A search looks at one of them: what it changes goes with its parameter, but for the rows at
+    whose ends a contact separates, and but for second order where a frame gives.
+    """
+    link = contact_link(seed=None)
+    nominal, shapes = link.shown(0), 0
+    acting = [kind for kind, cls in EFFECTS.items() if cls.link in ("contact", "sensor")]
+    for c in candidates(*acting):
+        for start in c.shapes() if c.linear else ():
+            each = [link.shown(0, [c.at(np.array(s))]) - nominal for s in c.of_shape(start)]
+            middle = link.shown(0, [c.at(np.array(start))]) - nominal
+            lengths = [np.linalg.norm(change) * np.linalg.norm(middle) for change in each]
+            along = [abs(np.sum(change * middle)) for change in each]
+            assert np.all(np.array(along) >= 0.97 * np.array(lengths)), c.key
+            shapes += len(each) > 1 and bool(middle.any())
+    assert shapes > 20

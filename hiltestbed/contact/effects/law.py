@@ -56,7 +56,7 @@ class ContactDamping(ContactEffect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        yield candidate(cls, {"factor": [0.2, 0.6, 1.5, 2.5, 4.0]})
+        yield candidate(cls, {"factor": [0.2, 0.6, 1.5, 2.5, 4.0]}, linear="factor")
 
 
 @register
@@ -112,7 +112,7 @@ class ContactDryFriction(ContactEffect):
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         f, x = scales.force, scales.depth
-        yield cls.by_force(scales, stiffness=0.0)
+        yield cls.by_force(scales, linear="force", stiffness=0.0)
         if scales.captured:
             drag = {"force": [0.3 * f, 0.8 * f], "stiffness": [q * f / x for q in (2.0, 8.0, 30.0)]}
             yield candidate(
@@ -142,9 +142,8 @@ class ContactRelaxation(ContactEffect):
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         k = scales.stiffness
         starts = {"stiffness": [0.1 * k, 0.4 * k], "time_constant": [0.004, 0.02, 0.08, 0.4]}
-        yield candidate(
-            cls, starts, bounds={"stiffness": (0.005 * k, 10.0 * k), "time_constant": (1e-3, 5.0)}
-        )
+        bounds = {"stiffness": (0.005 * k, 10.0 * k), "time_constant": (1e-3, 5.0)}
+        yield candidate(cls, starts, bounds=bounds, linear="stiffness")
 
 
 # [s^2] mass over the contact's stiffness of a frame ten times as stiff whose natural frequency is 3
@@ -193,9 +192,8 @@ class FrameCompliance(ContactEffect):
         k = scales.stiffness
         bounds = {"stiffness": ((LITTLE if scales.captured else 0.3) * k, 3000.0 * k)}
         for variant in ({}, {"damper": "in series"}, {"damper": "whole rate"}):
-            yield candidate(
-                cls, {"stiffness": [2.0 * k, 8.0 * k, 40.0 * k]}, bounds=bounds, variant=variant
-            )
+            starts = {"stiffness": [2.0 * k, 8.0 * k, 40.0 * k]}
+            yield candidate(cls, starts, bounds=bounds, variant=variant, linear="stiffness")
 
 
 @register
@@ -253,10 +251,9 @@ class FrameMode(ContactEffect):
             dict.fromkeys((f, 0.03, min(max(mass, lightest), heaviest)) for f, mass in stiff)
         )
         names = {"frequency": [], "damping_ratio": [], "mass": []}
-        for variant in ({}, {"reads": "reaction"}):
-            yield candidate(
-                cls, names, starts=starts, bounds={"mass": (lightest, heaviest)}, variant=variant
-            )
+        more: dict[str, Any] = {"starts": starts, "bounds": {"mass": (lightest, heaviest)}}
+        yield candidate(cls, names, linear="mass", **more)
+        yield candidate(cls, names, variant={"reads": "reaction"}, **more)
 
 
 @register
@@ -341,7 +338,8 @@ class ContactStiffness(ContactEffect):
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         bounds = {"factor": (LITTLE, 3.0)} if scales.captured else None
-        yield candidate(cls, {"factor": [0.5, 0.75, 0.92, 1.08, 1.3, 1.8]}, bounds=bounds)
+        starts = {"factor": [0.5, 0.75, 0.92, 1.08, 1.3, 1.8]}
+        yield candidate(cls, starts, bounds=bounds, linear="factor")
 
 
 @register
@@ -413,9 +411,8 @@ class ContactHardStop(ContactEffect):
             "position": [x * q for q in (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)],
             "stiffness": [0.3 * k, k, 4.0 * k],
         }
-        yield candidate(
-            cls, starts, bounds={"position": (0.0, x), "stiffness": (0.01 * k, 100.0 * k)}
-        )
+        bounds = {"position": (0.0, x), "stiffness": (0.01 * k, 100.0 * k)}
+        yield candidate(cls, starts, bounds=bounds, linear="stiffness")
 
 
 @register
@@ -434,4 +431,4 @@ class ContactPreload(ContactEffect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        yield cls.by_force(scales)
+        yield cls.by_force(scales, linear="force")

@@ -42,7 +42,7 @@ class ContactSurfaceFriction(ContactEffect):
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         if scales.slides:
-            yield candidate(cls, {"coefficient": [0.02, 0.1, 0.3]})
+            yield candidate(cls, {"coefficient": [0.02, 0.1, 0.3]}, linear="coefficient")
 
 
 @register
