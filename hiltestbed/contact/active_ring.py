@@ -86,13 +86,6 @@ class RingActuators(Strictly):
         base, ring = self.joints
         return np.linalg.norm(ring - base + np.array([0.0, 0.0, along]), axis=1)
 
-    @property
-    def jacobian(self) -> Array:
-        """``(6, 6)`` dl/dq at rest, q = x, y, z [m], rx, ry, rz [rad] of the ring."""
-        base, ring = self.joints
-        along = (ring - base) / self.lengths()[:, None]
-        return np.hstack([along, np.cross(ring, along)])
-
 
 class CaptureLaw(Strictly):
     """Impedance of the ring until the latches have caught: mass x'' + damping x' + stiffness x,
@@ -142,15 +135,14 @@ class RetractionLaw(AlignmentLaw):
     seated; from then on it stands still.
     """
 
-    speed: Positive = Field(
-        default=0.005, description="Highest speed of the reference along x, y and z [m/s]"
-    )
-
     stiffness: Six = Field(
         default=(4000.0, 4000.0, 20000.0, 1500.0, 1500.0, 1500.0), description=_STIFFNESS
     )
     damping: Six = Field(
         default=(1300.0, 1300.0, 5600.0, 1000.0, 1000.0, 1000.0), description=_DAMPING
+    )
+    speed: Positive = Field(
+        default=0.005, description="Highest speed of the reference along x, y and z [m/s]"
     )
     depth: Positive = Field(
         default=0.11,
@@ -194,11 +186,11 @@ class ActiveRing(Strictly):
                 ("legs", "stroke"),
                 f"is longer than a leg at rest ({short:.3g} m); allowed is less",
             )
-        if np.linalg.matrix_rank(legs.jacobian) < len(LEGS):
+        if legs.base_half_angle_deg + legs.ring_half_angle_deg == 60.0:  # all in radial planes
             yield (
                 ("legs", "base_half_angle_deg"),
-                "the legs cannot hold the ring in all six axes; both half-angles together must "
-                "not be 60 deg",
+                "the legs cannot hold the ring in roll; both half-angles together must not be "
+                "60 deg",
             )
         way = float((rest - legs.lengths(-self.retraction.depth)).max())
         if way >= legs.stroke:

@@ -34,8 +34,12 @@ from hiltestbed.frames import Array
 
 FAULTS = ("force", "stroke", "timeout")  # what the legs, or a phase, can fail in
 GUIDED = LAWS.index("alignment")  # from here on the reference moves
+FORCE, STROKE, TIMEOUT = range(len(FAULTS))
 PEAK, SHORTEST, LONGEST, ABSORBED, USED = 0, 1, 2, 3, 4  # columns of what the legs have done
 NOW, SINCE = 0, 1  # [s] of the run, and of the phase
+DONE = len(LAWS)  # the stage after the last
+# of an eigenvalue of a step: a double one is found no better
+ROUNDING = math.sqrt(np.finfo(float).eps)
 
 
 def stand_on_legs(side: mujoco.MjSpec, ring: ActiveRing) -> None:
@@ -56,7 +60,7 @@ def stand_on_legs(side: mujoco.MjSpec, ring: ActiveRing) -> None:
         tendon.wrap_site(f"{name}_ring")
         motor = side.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_TENDON, target=name)
         motor.set_to_motor()
-        # exact over a step, and of the step itself: a lag of 0 s would be none
+        # exact, and with the command of the step itself: a lag far shorter than a step is none
         motor.dyntype, motor.actearly = mujoco.mjtDyn.mjDYN_FILTEREXACT, True
         motor.dynprm[0] = 1.0 / (2.0 * math.pi * legs.bandwidth)
 
@@ -65,7 +69,7 @@ def divergent(ring: ActiveRing, inertia: Array, dt: float) -> Iterator[str]:
     """Laws that steps of ``dt`` [s] do not resolve: of the ring alone, with ``inertia`` (6,) [kg,
     kg m^2] in its joints, an eigenvalue of its motion from step to step is beyond 1.
     """
-    follows, rounding = 1.0 - math.exp(-2.0 * math.pi * ring.legs.bandwidth * dt), 1e-9
+    follows = _follows(ring, dt)
     for name, law in zip(LAWS, ring.laws, strict=True):
         numbers = zip(JOINTS, law.stiffness, law.damping, law.mass, inertia, strict=True)
         for joint, stiffness, damping, mass, own in numbers:
@@ -77,11 +81,16 @@ def divergent(ring: ActiveRing, inertia: Array, dt: float) -> Iterator[str]:
             lagged = np.array([0.0, follows, 1.0 - follows, 0.0])
             moved = np.array([1.0, 0.0, 0.0, 0.0]) + dt * speed
             most = np.abs(np.linalg.eigvals(np.array([moved, speed, lagged, force]))).max()
-            if most > 1.0 + rounding:
+            if most > 1.0 + ROUNDING:
                 yield (
                     f"active_ring.{name}: {joint} diverges in steps of {1e3 * dt:.3g} ms; raise "
                     f"physics_rate, or lower the damping, the stiffness, the mass or the bandwidth"
                 )
+
+
+def _follows(ring: ActiveRing, dt: float) -> float:
+    """Share of a change that the lag of the legs passes on in ``dt`` [s]."""
+    return 1.0 - math.exp(-2.0 * math.pi * ring.legs.bandwidth * dt)
 
 
 class _Numbers(NamedTuple):
@@ -90,7 +99,7 @@ class _Numbers(NamedTuple):
     timeouts: Array  # (4,) [s]
     rest: Array  # (6,) lengths at rest [m]
     limits: Array  # force [N], stroke [m]
-    steps: Array  # step [s], rate of the lag [1/s]
+    steps: Array  # step [s], share that the lag passes on in it
     at: NDArray[np.int64]  # (5, 6) in qpos, qvel, ctrl, act; of the tendons
     entries: NDArray[np.int64]  # (6, 6) of leg and joint in a row of ten_J
 
@@ -125,14 +134,13 @@ class RingLegs:
             [next(e for e in rows[t] if m.ten_J_colind[e] == d) for d in dofs] for t in tendons
         ]
         at = np.array([m.jnt_qposadr[self.joints], dofs, legs, m.actuator_actadr[legs], tendons])
-        rate = 2.0 * math.pi * ring.legs.bandwidth
         self._numbers = _Numbers(
             np.array([[law.stiffness, law.damping, law.mass] for law in ring.laws]),
             np.array([_guide(law) for law in ring.laws]),
             np.array([getattr(law, "timeout", math.inf) for law in ring.laws]),
             ring.legs.lengths(),
             np.array([ring.legs.force, ring.legs.stroke]),
-            np.array([dt, rate]),
+            np.array([dt, _follows(ring, dt)]),
             at.astype(np.int64),
             np.array(entries, dtype=np.int64),
         )
@@ -156,7 +164,7 @@ class RingLegs:
         for array in self.state:
             array[:] = 0
         self.state.length[:] = self._numbers.rest
-        self.state.clock[:] = -self._numbers.steps[0]
+        self.state.clock[:] = -self._numbers.steps[0]  # the first call is at 0 s
         self.state.faults[:] = -1.0
 
     def begin(self, phase: str, which: NDArray[np.bool_]) -> None:
@@ -202,51 +210,52 @@ def _guide(law: object) -> list[list[float]]:
 @njit(cache=True)
 def _push(numbers, state, qpos, qvel, act, lengths, jacobians, ctrl):
     """Command the forces of the legs, and record what they did in the step before."""
-    dt, rate = numbers.steps
-    follows = 1.0 - math.exp(-rate * dt)
+    dt, follows = numbers.steps
     jac, tau = np.empty((6, 6)), np.empty(6)
     for i in range(qpos.shape[0]):
         stage = state.stage[i]
-        k = min(stage, 3)
+        k = min(stage, DONE - 1)
         clock, used, length = state.clock[i], state.used[i], state.length[i]
-        clock[0] += dt
-        clock[1] += dt
+        clock += dt
         reference, trailing = state.reference[i], state.trailing[i]
-        if state.fresh[i]:
-            state.fresh[i], clock[1] = False, 0.0
-            for j in range(6):
-                if stage == GUIDED:  # from where the ring is: no jump of its force
-                    reference[j] = qpos[i, numbers.at[0, j]]
+        begins, state.fresh[i] = state.fresh[i], False
+        if begins:
+            clock[SINCE] = 0.0
         stiffness, damping, inertia = numbers.laws[k]
         for j in range(6):
-            if stage < 4:
+            q, v = qpos[i, numbers.at[0, j]], qvel[i, numbers.at[1, j]]
+            if begins and stage == GUIDED:  # from where the ring is: no jump of its force
+                reference[j] = q
+            if stage < DONE:
                 step = numbers.guides[k, 1, j] * dt
                 way = numbers.guides[k, 0, j] - reference[j]
                 reference[j] += min(max(way, -step), step)
-            q, v = qpos[i, numbers.at[0, j]], qvel[i, numbers.at[1, j]]
             tau[j] = stiffness[j] * (reference[j] - q) - damping[j] * v
             # exact at constant acceleration
             tau[j] -= inertia[j] * follows / dt * (v - trailing[j])
             trailing[j] += follows * (v - trailing[j])
             for leg in range(6):
                 jac[j, leg] = jacobians[i, numbers.entries[leg, j]]
+        if not (np.isfinite(tau).all() and np.isfinite(jac).all()):
+            continue  # diverged: the loop ends it
         force = np.linalg.solve(jac, tau)
         most = np.abs(force).max()
         if most > numbers.limits[0]:
             force *= numbers.limits[0] / most
-            _note(state.faults[i, 0], clock[0], k)
+            _note(state.faults[i, FORCE], clock[NOW], k)
         for leg in range(6):
             now, exerted = lengths[i, numbers.at[4, leg]], act[i, numbers.at[3, leg]]
             moved = now - numbers.rest[leg]
-            used[0] = max(used[0], abs(exerted))
-            used[1], used[2] = min(used[1], moved), max(used[2], moved)
-            used[3] -= exerted * (now - length[leg])
+            used[PEAK] = max(used[PEAK], abs(exerted))
+            used[SHORTEST] = min(used[SHORTEST], moved)
+            used[LONGEST] = max(used[LONGEST], moved)
+            used[ABSORBED] -= exerted * (now - length[leg])
             length[leg] = now
             ctrl[i, numbers.at[2, leg]] = force[leg]
             if abs(moved) >= numbers.limits[1]:
-                _note(state.faults[i, 1], clock[0], k)
-        if stage < 4 and clock[1] > numbers.timeouts[k]:
-            _note(state.faults[i, 2], clock[0], k)
+                _note(state.faults[i, STROKE], clock[NOW], k)
+        if stage < DONE and clock[SINCE] > numbers.timeouts[k]:
+            _note(state.faults[i, TIMEOUT], clock[NOW], k)
 
 
 @njit(cache=True)
