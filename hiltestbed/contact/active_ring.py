@@ -146,7 +146,7 @@ class RetractionLaw(AlignmentLaw):
     )
     depth: Positive = Field(
         default=0.11,
-        description="Way of the reference from rest [m]; the flanges meet after 0.10 m, the rest "
+        description="Way of the reference from rest [m]; the flanges meet after 0.103 m, the rest "
         "is taken by the stiffness of legs and latches in series, and presses them together",
     )
 

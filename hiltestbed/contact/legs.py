@@ -93,7 +93,7 @@ def _follows(ring: ActiveRing, dt: float) -> float:
     return 1.0 - math.exp(-2.0 * math.pi * ring.legs.bandwidth * dt)
 
 
-class _Numbers(NamedTuple):
+class _LegNumbers(NamedTuple):
     laws: Array  # (4, 3, 6) stiffness, damping, inertia of each phase
     guides: Array  # (4, 2, 6) goal and highest rate of the reference in each phase
     timeouts: Array  # (4,) [s]
@@ -104,7 +104,7 @@ class _Numbers(NamedTuple):
     entries: NDArray[np.int64]  # (6, 6) of leg and joint in a row of ten_J
 
 
-class _State(NamedTuple):
+class _LegState(NamedTuple):
     reference: Array  # (n, 6)
     trailing: Array  # (n, 6) rates of the joints, lagged
     length: Array  # (n, 6) of the legs at the step before [m]
@@ -134,7 +134,7 @@ class RingLegs:
             [next(e for e in rows[t] if m.ten_J_colind[e] == d) for d in dofs] for t in tendons
         ]
         at = np.array([m.jnt_qposadr[self.joints], dofs, legs, m.actuator_actadr[legs], tendons])
-        self._numbers = _Numbers(
+        self._numbers = _LegNumbers(
             np.array([[law.stiffness, law.damping, law.mass] for law in ring.laws]),
             np.array([_guide(law) for law in ring.laws]),
             np.array([getattr(law, "timeout", math.inf) for law in ring.laws]),
@@ -144,7 +144,7 @@ class RingLegs:
             at.astype(np.int64),
             np.array(entries, dtype=np.int64),
         )
-        self.state = _State(
+        self.state = _LegState(
             np.zeros((n, 6)),
             np.zeros((n, 6)),
             np.zeros((n, 6)),
