@@ -82,8 +82,8 @@ class Engagement:
             friction coefficient [N s/m].
         linear: (n, T) whether only a linear spring and damper act along the normal; parameters: (n,
             T + 1, PARAMETERS) of the laws, the latch's last. touching: (n,) bool. latched: (n,)
-            bool, whether any latch is closed. latches: all of them. legs: of an
-            active ring, or None.
+            bool, whether any latch is closed. latches: all of them. legs: of an active
+            ring, or None.
         pull: (n, 6) the part of the wrench on the passive side that MuJoCo's contacts do not exert,
             in W at W's origin; pulls: whether
             there can be any. stage: up to which MuJoCo must have computed the forward dynamics
