@@ -314,12 +314,18 @@ def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
 
 
 def _capture(loop: Loop, i: int) -> dict[str, Any]:
-    """The phases of a mechanism that has them, each with its beginning [s], or None."""
+    """The phases of a mechanism that has them, each with its beginning [s], or None; what the legs
+    of an active ring did.
+    """
     phases, rate = loop.plant.phases, loop.scenarios[i].rate
     if phases is None:
         return {}
     since = zip(phases.names, map(int, phases.since[i]), strict=True)
-    return {"phases": [{"name": name, "at": k / rate if k >= 0 else None} for name, k in since]}
+    legs = phases.legs
+    return {
+        "phases": [{"name": name, "at": k / rate if k >= 0 else None} for name, k in since],
+        **({} if legs is None else {"active_ring": legs.summary(i)}),
+    }
 
 
 def _monitored(loop: Loop, i: int) -> dict[str, Any]:

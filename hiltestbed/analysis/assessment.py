@@ -23,6 +23,13 @@ ACTIVE = math.expm1(2.0 * CLOSE)
 # relative error of an identified stiffness or damping, above which there is a warning
 UNSURE = 0.10
 
+# of the legs of an active ring
+RING_FAULTS = {
+    "force": "a leg reached its largest force",
+    "stroke": "a leg reached the end of its stroke, and stands on its stop",
+    "timeout": "the phase has not ended in its time",
+}
+
 
 @dataclass(frozen=True)
 class Assessment:
@@ -104,9 +111,21 @@ def figures_of(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
     if (share := summary.get("limits_share")) is not None:
         most = f"the most, {100.0 * share:.3g} %, by {summary['limits_worst']}"
         rows.append(("limits", "exceeded" if share > BEYOND else "kept", most))
+    if (legs := summary.get("active_ring")) is not None:
+        rows.append(("active ring", *_ring(legs, summary["phases"])))
     if (seen := monitored(summary)) is not None:
         rows.append(("process monitoring", *seen))
     return rows
+
+
+def _ring(legs: dict[str, Any], phases: list[dict[str, Any]]) -> tuple[str, str]:
+    """The phase that an active ring has reached, and what its legs did."""
+    begun = [phase["name"].replace("_", " ") for phase in phases if phase["at"] is not None]
+    low, high = (1e3 * travel for travel in legs["leg_travel"])
+    return begun[-1] if begun else "not captured", (
+        f"a leg at most {legs['leg_force']:.4g} N, {low:+.3g} to {high:+.3g} mm; "
+        f"{legs['energy_absorbed']:.3g} J absorbed"
+    )
 
 
 def energy_share(summary: dict[str, Any]) -> float | None:
@@ -204,6 +223,10 @@ def _warnings(summary: dict[str, Any]) -> list[str]:
             f"the force is {1e3 * late['estimated']:.4g} ms (+-{1e3 * late['half_width']:.2g} ms) "
             f"late, not the {1e3 * late['told']:.4g} ms of sensor.delay: the contact refused them"
         )
+    out += [
+        f"active ring: {RING_FAULTS[fault['what']]} at {fault['at']:.4g} s, in {fault['phase']}"
+        for fault in summary.get("active_ring", {}).get("faults", ())
+    ]
     rows = summary.get("limits", ())
     out += [f"limits: {in_words(row)}" for row in rows if (row["share"] or 0.0) > BEYOND]
     stability = summary.get("stability")

@@ -156,15 +156,18 @@ class MechanismFile(_Strict):
 
     contact: list[Touching] = Field(min_length=1)
     phases: list[Phase] = Field(default_factory=list)
+    actuated: list[Phase] = Field(
+        default_factory=list, description="Phases in place of these, of a ring on actuators"
+    )
 
     @model_validator(mode="after")
     def _names(self) -> MechanismFile:
-        names = [p.name for p in self.phases]
-        if len(set(names)) != len(names):
-            raise ValueError(
-                f"several phases have the same name: "
-                f"{', '.join(sorted({n for n in names if names.count(n) > 1}))}"
-            )
+        for names in ([p.name for p in self.phases], [p.name for p in self.actuated]):
+            if len(set(names)) != len(names):
+                raise ValueError(
+                    f"several phases have the same name: "
+                    f"{', '.join(sorted({n for n in names if names.count(n) > 1}))}"
+                )
         return self
 
 

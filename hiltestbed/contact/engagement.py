@@ -52,6 +52,7 @@ from hiltestbed.contact.geometry import FRAMES
 from hiltestbed.contact.geometry import PASSIVE as S
 from hiltestbed.contact.latches import Latches, hold
 from hiltestbed.contact.law import STATES, acting_contacts
+from hiltestbed.contact.legs import RingLegs
 from hiltestbed.contact.parameters import (
     ADHESION,
     FRICTION,
@@ -81,7 +82,8 @@ class Engagement:
             friction coefficient [N s/m].
         linear: (n, T) whether only a linear spring and damper act along the normal; parameters: (n,
             T + 1, PARAMETERS) of the laws, the latch's last. touching: (n,) bool. latched: (n,)
-            bool, whether any latch is closed. latches: all of them.
+            bool, whether any latch is closed. latches: all of them. legs: of an active
+            ring, or None.
         pull: (n, 6) the part of the wrench on the passive side that MuJoCo's contacts do not exert,
             in W at W's origin; pulls: whether
             there can be any. stage: up to which MuJoCo must have computed the forward dynamics
@@ -119,6 +121,8 @@ class Engagement:
             or (self.parameters[:, :-1, MODE] > 0.0).any()
         )
         self.latches = Latches(batch, structure, self.parameters[:, -1])
+        ring = structure.mechanism.actuated()
+        self.legs = None if ring is None else RingLegs(batch, ring, n, dt)
         self._captured = scenarios[0].mechanism.captured
         self.latched = np.zeros(n, dtype=bool)
         self._updated = Call(_update, (GIVEN,) * 4, *self._parts(dt, least_creep))
@@ -134,6 +138,8 @@ class Engagement:
         self.latched[:] = self._captured
         self._live[:] = True
         self.latches.open(captured=self._captured)
+        if self.legs is not None:
+            self.legs.reset()
 
     def _parts(self, dt: float, least_creep: float) -> tuple[Any, ...]:
         """What :func:`_update` is given after the poses; None for what the sides have not."""
@@ -165,6 +171,8 @@ class Engagement:
     def update(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
         """Update MuJoCo's contacts, once per instant, for poses and twists in W of A and of S."""
         self._updated.on(pose, twist, place, motion)()
+        if self.legs is not None:
+            self.legs.push()
 
     def capture(self, which: NDArray[np.bool_]) -> None:
         """Latch the runs ``which`` (n,) as they are, from the next instant on, without contacts."""

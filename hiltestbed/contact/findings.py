@@ -10,7 +10,9 @@ import mujoco
 import numpy as np
 
 from hiltestbed.config.models import model_of, stamp
+from hiltestbed.contact.active_ring import JOINTS
 from hiltestbed.contact.composition import ACTIVE, PASSIVE, PREFIXES, Structure, add_side, drawn
+from hiltestbed.contact.legs import divergent
 from hiltestbed.contact.phases import actuators_of, dropped_by, joints_of
 from hiltestbed.contact.sides import Pair, Sides, sides_of
 from hiltestbed.contact.touch import BEYOND, Meeting, nothing_met
@@ -34,6 +36,9 @@ def faults(scenario: ScenarioLike) -> Iterator[str]:
     except InputError as error:
         yield str(error)
         return
+    if (ring := mechanism.actuated()) is not None:
+        dofs = [int(model.joint(ACTIVE + name).dofadr[0]) for name in JOINTS]
+        yield from divergent(ring, model.dof_M0[dofs], scenario.tick / scenario.substeps)
     for phase in mechanism.phases():
         for find in (joints_of, actuators_of):
             try:

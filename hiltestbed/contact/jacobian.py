@@ -77,7 +77,7 @@ def pair_at(
     springs = _springs(engagement, structure, batch.model, i)
     if springs is None:
         return None
-    joints = _Joints(batch, structure, i, engagement.frames[i])
+    joints = _Joints(engagement, batch, structure, i)
     stiffness, damping = joints.sums(springs, place)
     if not joints.count:
         return stiffness, damping
@@ -93,7 +93,7 @@ def fastest(engagement: Engagement, batch: Batch, structure: Structure, i: int) 
     part; 0 without moving parts. The inertia is the diagonal of the joints' at the start.
     """
     frames = engagement.frames[i]
-    joints = _Joints(batch, structure, i, frames)
+    joints = _Joints(engagement, batch, structure, i)
     if not joints.count:
         return 0.0
     springs = _springs(engagement, structure, batch.model, i) or []
@@ -154,8 +154,8 @@ class _Joints:
         inertia: (count,) [kg], [kg m^2] of each at the start, all others fixed.
     """
 
-    def __init__(self, batch: Batch, structure: Structure, i: int, frames: Array) -> None:
-        """frames: (F, 7) poses in W of A, S and moving parts."""
+    def __init__(self, engagement: Engagement, batch: Batch, structure: Structure, i: int) -> None:
+        frames = engagement.frames[i]
         self._model, self._axes = batch.model, rotation_matrix(frames[PASSIVE, 3:7])
         m = self._model
         self._data = data = mujoco.MjData(m)
@@ -179,6 +179,9 @@ class _Joints:
             spring, damper = _driven(batch, i, j)
             self.stiffness[k] += spring
             self.damping[k] += damper
+        if engagement.legs is not None:
+            place = [self._free.index(j) for j in engagement.legs.joints]
+            self.stiffness[place], self.damping[place] = engagement.legs.law(i)
 
     def sums(self, springs: list[_Spring], place: Array) -> tuple[Array, Array]:
         """(6 + joints, 6 + joints) stiffness and damping, of the active side's displacement at

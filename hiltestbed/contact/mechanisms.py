@@ -4,18 +4,23 @@ classes of geom pairs that may touch, and phases of capture.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
 from hiltestbed.config.models import models_folder
 from hiltestbed.config.validation import ModelFile
 from hiltestbed.contact import description
+from hiltestbed.contact.active_ring import ActiveRing
 from hiltestbed.contact.description import Phase, Rule, Touching
 from hiltestbed.contact.settings import Contact, Mechanism
 from hiltestbed.plugins import register
+
+if TYPE_CHECKING:
+    from mujoco import MjSpec
 
 
 class _Shipped(Mechanism):
@@ -110,6 +115,29 @@ class IdssRing(Described):
 
     kind: Literal["idss_ring"] = "idss_ring"
     folder: ClassVar[str] = "idss_ring"
+    active_ring: ActiveRing | None = Field(
+        default=None,
+        description="Six actuators with force feedback that carry the ring; null: springs and "
+        "dampers",
+    )
+
+    def actuated(self) -> ActiveRing | None:
+        return self.active_ring
+
+    def sides(self) -> tuple[MjSpec, MjSpec]:
+        active, passive = super().sides()
+        if self.active_ring is not None:
+            from hiltestbed.contact.legs import stand_on_legs
+
+            stand_on_legs(active, self.active_ring)
+        return active, passive
+
+    def phases(self) -> tuple[Phase, ...]:
+        return super().phases() if self.active_ring is None else tuple(self.described().actuated)
+
+    def shape(self) -> Hashable:
+        ring = self.active_ring
+        return super().shape(), ring and ring.model_dump_json()
 
 
 @register

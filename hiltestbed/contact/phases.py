@@ -22,6 +22,7 @@ from hiltestbed.contact.composition import ACTIVE, Structure
 from hiltestbed.contact.description import Phase, matching
 from hiltestbed.contact.engagement import Engagement
 from hiltestbed.contact.latches import site_state
+from hiltestbed.contact.legs import RingLegs
 from hiltestbed.contact.sides import Sides
 from hiltestbed.contact.wrench import relate_one
 from hiltestbed.errors import InputError
@@ -48,11 +49,14 @@ class Phases:
 
     Attributes:
         begun: (n,) int64, number of phases begun. since: (n, K) tick at which each began, -1
-            before. names: of the phases.
+            before. names: of the phases. legs: of an active ring, or None.
     """
 
-    def __init__(self, batch: Batch, structure: Structure, tick: float, n: int) -> None:
+    def __init__(
+        self, batch: Batch, structure: Structure, tick: float, n: int, legs: RingLegs | None
+    ) -> None:
         """``tick``: [s] between evaluations. Raises InputError for an unknown joint or actuator."""
+        self.legs = legs
         self._phases = structure.mechanism.phases()
         self.names = [p.name for p in self._phases]
         model, sides = batch.model, structure.sides
@@ -91,6 +95,8 @@ class Phases:
             engagement.close(engagement.latches.number(phase.name), due, np.zeros((len(due), 3)))
         for actuator, value in self._commands[k]:
             self._ctrl[due, actuator] = value
+        if self.legs is not None:
+            self.legs.begin(phase.name, due)
         if self._dropped[k].size:
             engagement.release(due, self._dropped[k])
         self.begun[due] = k + 1

@@ -15,6 +15,7 @@ from hiltestbed.plugins import OneOf, Registry, placeholder
 if TYPE_CHECKING:
     from mujoco import MjSpec
 
+    from hiltestbed.contact.active_ring import ActiveRing
     from hiltestbed.contact.description import Phase
     from hiltestbed.scenario.like import ScenarioLike
 
@@ -130,6 +131,10 @@ class Mechanism(Strictly):
     def phases(self) -> tuple[Phase, ...]:
         """The phases of capture, in order."""
         return ()
+
+    def actuated(self) -> ActiveRing | None:
+        """The legs that drive its ring, if any do."""
+        return None
 
     def shape(self) -> Hashable:
         """What its MuJoCo model depends on apart from numbers: equal ones run in lockstep."""

@@ -105,7 +105,8 @@ class Plant:
         self._latch = LatchCondition(scenarios) if latches else None
         self.phases: Phases | None = None
         if force is None and made_of.mechanism.phases():
-            self.phases = Phases(lower.batch, made_of, first.tick, len(scenarios))
+            legs = lower.contacts.engagement.legs
+            self.phases = Phases(lower.batch, made_of, first.tick, len(scenarios), legs)
         self.pose_W: Array = lower.pose_act
         self.pose_act: Array = tracking.pose_act
         self.twist_act: Array = tracking.twist_act

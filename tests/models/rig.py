@@ -16,7 +16,9 @@ import numpy as np
 from mujoco.batch import Batch
 from scipy.spatial.transform import Rotation
 
+from hiltestbed.contact.active_ring import ActiveRing
 from hiltestbed.contact.description import Closure, Condition, Touching, matching, read
+from hiltestbed.contact.legs import RingLegs, stand_on_legs
 from hiltestbed.contact.surfaces.surface import Surface, of_mesh, segment_distance, signed_distance
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
@@ -66,11 +68,15 @@ class Rig:
         free_target: bool = True,
         dissipative: bool = True,
         friction: float | None = None,
+        ring: ActiveRing | None = None,
     ) -> None:
         """``edit`` changes the spec before it is compiled; not ``dissipative``: nothing damps;
-        ``friction`` replaces that of all pairs.
+        ``friction`` replaces that of all pairs; ``ring``: on legs, with their phases.
         """
         self.description = read(MODELS / name / "mechanism.yaml")
+        if ring is not None:
+            driven = {"phases": self.description.actuated}
+            self.description = self.description.model_copy(update=driven)
         if friction is not None or not dissipative:
             rules = [
                 r.model_copy(update={"friction": friction or 0.0}) for r in self.description.contact
@@ -90,6 +96,8 @@ class Rig:
             side: mujoco.MjSpec.from_file(str(MODELS / name / f"{side}.xml"))
             for side in ("active", "passive")
         }
+        if ring is not None:
+            stand_on_legs(sides["active"], ring)
         self._carry(sides["passive"], "passive", "P", 2000.0, 1.0, free_target)
         self._carry(sides["active"], "active", "A", 500.0, -1.0, True)
         if edit is not None:
@@ -102,6 +110,7 @@ class Rig:
             self.model.dof_damping[:] = 0.0
             self.model.dof_frictionloss[:] = 0.0
         self._bind()
+        self.legs = None if ring is None else RingLegs(self.batch, ring, 1, timestep)
         self.done: list[str] = []
         self.held = 0.0
         self.closed: dict[str, float] = {}
@@ -264,6 +273,8 @@ class Rig:
     def step(self) -> None:
         """One step, with the stiffness shared by the points that touch at its start."""
         self._before[:] = self._site
+        if self.legs is not None:
+            self.legs.push()
         self.batch.step(stage=POS)
         if self.facets:
             for facet in self.facets:
@@ -332,6 +343,8 @@ class Rig:
             return
         self.held = 0.0
         self.done.append(phase.name)
+        if self.legs is not None:
+            self.legs.begin(phase.name, np.array([True]))
         for name, value in phase.command.items():
             self.ctrl[self.model.actuator(f"active_{name}").id] = value
         for geom in phase.drop_contacts:

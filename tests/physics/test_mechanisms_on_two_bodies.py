@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from hiltestbed.contact.active_ring import ActiveRing
 from hiltestbed.scenario import scenario_from
 from hiltestbed.simulation import simulate
 from tests.models.rig import Rig
@@ -48,21 +49,28 @@ def vehicle(rig: Rig, side: str) -> dict:
     }
 
 
+ON_LEGS = {"active_ring": {}}
 CASES = [
-    ("probe_drogue", 0.15, [0.0, 0.0, 0.1], [0.1, 0.05], [2.0, -2.0, 0.0]),
-    ("marman_gripper", 0.005, [0.0, 0.0, 0.02], [0.003, -0.002], [0.2, -0.1, 0.5]),
-    slow("idss_ring", 0.10, [0.0, 0.0, 0.05], [0.03, 0.02], [1.0, -1.0, 1.0]),
+    ("probe_drogue", 0.15, [0.0, 0.0, 0.1], [0.1, 0.05], [2.0, -2.0, 0.0], {}),
+    ("marman_gripper", 0.005, [0.0, 0.0, 0.02], [0.003, -0.002], [0.2, -0.1, 0.5], {}),
+    slow("idss_ring", 0.10, [0.0, 0.0, 0.05], [0.03, 0.02], [1.0, -1.0, 1.0], {}),
+    slow("idss_ring", 0.10, [0.0, 0.0, 0.05], [0.03, 0.02], [1.0, -1.0, 1.0], ON_LEGS),
 ]
 
 
-@pytest.mark.parametrize(("name", "gap", "velocity", "offset", "attitude"), CASES)
+@pytest.mark.parametrize(("name", "gap", "velocity", "offset", "attitude", "ring"), CASES)
 def test_soft_capture_comes_when_two_free_bodies_say_so(
-    name: str, gap: float, velocity: list[float], offset: list[float], attitude: list[float]
+    name: str,
+    gap: float,
+    velocity: list[float],
+    offset: list[float],
+    attitude: list[float],
+    ring: dict,
 ) -> None:
     """Time of the first phase within 2 %, and where A is then within 2 mm: the loop counts the
     moving part's mass to the rig.
     """
-    rig = Rig(name)
+    rig = Rig(name, ring=ActiveRing() if ring else None)
     rig.start(gap, velocity, offset, attitude)
     elapsed = 0.0
     while not rig.done and elapsed < 3.0:
@@ -82,7 +90,7 @@ def test_soft_capture_comes_when_two_free_bodies_say_so(
             "offset": offset,
             "attitude_deg": attitude,
         },
-        "mechanism": {"kind": name},
+        "mechanism": {"kind": name} | ring,
         "compensation": {"force": {"kind": "none"}},
         "identification": {"kind": "none"},
         "rig": {"platform": {"tracking": "ideal"}},

@@ -30,6 +30,10 @@ DOCKINGS: dict[str, tuple[str, dict[str, Any]]] = {
         "15-ring-docking",
         {"approach.gap": 0.1, "approach.velocity": [0.0, 0.0, 0.15], "duration": 0.7},
     ),
+    "ring on legs": (
+        "29-active-ring",
+        {"approach.gap": 0.1, "approach.velocity": [0.0, 0.0, 0.15], "duration": 0.7},
+    ),
     "head on a sprung rod": ("16-probe-drogue", {"approach.gap": 0.05, "duration": 1.5}),
     "jaws that close": ("17-gripper", {"duration": 1.9}),
 }
