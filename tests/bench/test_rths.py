@@ -390,6 +390,19 @@ def test_other_folders_and_files_are_refused(tmp_path: Path) -> None:
         rths(data=tmp_path)
 
 
+def test_the_command_says_what_it_needs(tmp_path: Path, call: Callable) -> None:
+    """And ends with status 2, as for every input that is wrong."""
+    status, _, err = call("bench", "rths", "--out", str(tmp_path / "out"))
+    assert status == 2
+    assert "bench rths: needs --data DIR" in err
+    status, _, err = call("bench", "rths", "--data", str(tmp_path), "--out", str(tmp_path / "out"))
+    assert status == 2
+    assert "has to be a clone of github:FermandoisLab/maRTHS-bmk-RoDeAC" in err
+    status, _, err = call("bench", "cor", "--data", str(tmp_path), "--out", str(tmp_path / "out"))
+    assert status == 2
+    assert "--data is an option of bench real and rths only; leave it out" in err
+
+
 def _public() -> tuple[Material, Substructure, Substructure]:
     material = read(measured_data("maRTHS-bmk-RoDeAC"))
     whole = reference(material)

@@ -11,7 +11,10 @@ import numpy as np
 from scipy.signal import butter
 
 from hiltestbed.bench.contacts import BenchContact
+from hiltestbed.bench.contenders import contenders
+from hiltestbed.bench.hildock.methods import UNREAD
 from hiltestbed.bench.rths.problem import TICK, Material, Method, RthsRecord, late
+from hiltestbed.compensation.blocks import make_drive
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.motion import MotionCommand
 from hiltestbed.compensation.settings import FORCE_METHODS
@@ -106,7 +109,7 @@ class ShippedMethod:
             for d, s in zip(told.delay, settings, strict=True)
         ]
         runs = of_actuators * n
-        self._force = FORCE_METHODS[force["kind"]].start(runs, NumericalModel(runs))
+        self._drive = make_drive(runs, NumericalModel(runs))
         self._motion = MotionCommand(runs)
         self._pose, self._twist = np.tile(np.eye(7)[6], (2 * n, 1)), np.zeros((2 * n, 6))
         nothing, free = np.full((2 * n, 6), np.nan), np.zeros(2 * n, dtype=bool)
@@ -118,7 +121,8 @@ class ShippedMethod:
         read = self._read
         read.wrench[:, AXIAL] = 1e-3 * target.ravel()
         _move(read.pose, read.twist, 1e-3 * measured.ravel())
-        _move(self._pose, self._twist, self._force.compensate(read)[:, AXIAL])
+        self._drive.advance(read)
+        _move(self._pose, self._twist, self._drive.wrench[:, AXIAL])
         self._motion.update(self._pose, self._twist, read)
         return 1e3 * self._factor * self._motion.pose[:, AXIAL].reshape(-1, 2)
 
@@ -134,22 +138,20 @@ def _inverse_of_a_delay(delay: float) -> dict[str, Any]:
 
 
 def shipped(told: Known) -> dict[str, Callable[[int], Method]]:
-    """The methods that need nothing of a contact."""
+    """The force methods that read the wrench alone, those of plugins included, and the motion
+    methods that change the command.
+    """
     forces = {
-        "phase_lead": {"kind": "phase_lead"},
-        "second_order_lead": {"kind": "second_order_lead"},
-        "polynomial_1": {"kind": "polynomial", "order": 1},
-        "polynomial_3": {"kind": "polynomial", "order": 3},
-        "kalman": {"kind": "kalman"},
+        c.name: c.force(UNREAD)
+        for c in contenders()
+        if c.contact == "first" and c.name not in ("none", "dead_zone")
     }
+    alone = {n: f for n, f in forces.items() if FORCE_METHODS[f["kind"]].reads == {"wrench"}}
     motions = {
         "inverse_model": _inverse_of_a_delay,
         "adaptive_time_series": lambda delay: {"kind": "adaptive_time_series", "delay": delay},
     }
     return {
-        **{
-            name: partial(ShippedMethod, told, force, lambda _: NONE)
-            for name, force in forces.items()
-        },
-        **{name: partial(ShippedMethod, told, NONE, motion) for name, motion in motions.items()},
+        **{n: partial(ShippedMethod, told, force, lambda _: NONE) for n, force in alone.items()},
+        **{n: partial(ShippedMethod, told, NONE, motion) for n, motion in motions.items()},
     }
