@@ -23,6 +23,7 @@ BENCHES = {  # name of a benchmark, and the module with its function of the same
     "identification": "hiltestbed.bench.identification",
     "real": "hiltestbed.bench.real.run",
     "realtime": "hiltestbed.bench.realtime",
+    "rths": "hiltestbed.bench.rths.measure",
     "throughput": "hiltestbed.bench.throughput",
 }
 

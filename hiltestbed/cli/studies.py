@@ -35,16 +35,16 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
-# options of one benchmark only
-ONLY: dict[str, str] = dict.fromkeys(
-    ("noise", "docking", "computing", "minutes", "workers"), "diagnosis"
+# options of some benchmarks only
+ONLY: dict[str, tuple[str, ...]] = dict.fromkeys(
+    ("noise", "docking", "computing", "minutes", "workers"), ("diagnosis",)
 )
-ONLY |= {"data": "real", "enter": "hildock"}
+ONLY |= {"data": ("real", "rths"), "enter": ("hildock",)}
 
 
 @dataclass
 class Particular:
-    """Options of one benchmark only; None and False where they are not given."""
+    """Options of some benchmarks only; None and False where they are not given."""
 
     noise: Annotated[
         bool, typer.Option("--noise", help="diagnosis: only sets with noise that is not white.")
@@ -70,7 +70,7 @@ class Particular:
     ] = None
     data: Annotated[
         Path | None,
-        typer.Option("--data", metavar="DIR", help="real: folder of the public records."),
+        typer.Option("--data", metavar="DIR", help="real, rths: folder of the public records."),
     ] = None
     enter: Annotated[
         str | None,
@@ -103,12 +103,13 @@ def bench(
     given: dict[str, Any] = {k: v for k, v in vars(particular).items() if v not in (None, False)}
     named = {"for" if k == "minutes" else k: v for k, v in given.items()}
     for option, of in zip(named, map(ONLY.__getitem__, given), strict=True):
-        if of != name:
+        if name not in of:
             raise InputError(
-                f"bench {name}: --{option} is an option of bench {of} only; leave it out"
+                f"bench {name}: --{option} is an option of bench {' and '.join(of)} only; "
+                f"leave it out"
             )
-    if name == "real" and "data" not in given:
-        raise InputError("bench real: needs --data DIR, the folder of the public records")
+    if name in ONLY["data"] and "data" not in given:
+        raise InputError(f"bench {name}: needs --data DIR, the folder of the public records")
     measure = benchmark(name)
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.compiled.warm import tell_of_compiling
