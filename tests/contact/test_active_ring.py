@@ -39,7 +39,7 @@ PASSIVE = {  # as models/idss_ring/active.xml has it
 INERTIA = np.array([20.0, 20.0, 20.0, 3.7, 3.7, 7.2])  # of the ring: kg, kg m^2
 # no lag and no limit: a filter of 1 us is at its end within a step
 IDEAL = {"bandwidth": 1e6, "force": 1e6}
-SHIPPED = YAML(typ="safe").load(Path(find_scenario("29-active-ring")))
+SHIPPED = YAML(typ="safe").load(Path(find_scenario("28-active-ring")))
 
 
 def ring_of(**sections) -> ActiveRing:
@@ -300,7 +300,7 @@ def test_the_shipped_ring_is_seated_within_the_limits_of_its_standard() -> None:
     then move as one, so that the impulses are those of 400 kg at 0.05 m/s. The passive ring's
     flanges meet with more than the standard allows.
     """
-    done = simulate([load_scenario(find_scenario("29-active-ring"))], trace=True)
+    done = simulate([load_scenario(find_scenario("28-active-ring"))], trace=True)
     out = done.outcomes[0]
     begun = [phase["at"] for phase in out["phases"]]
     assert [phase["name"] for phase in out["phases"]] == [
@@ -337,7 +337,7 @@ FAULTY = {
 @pytest.mark.parametrize("text", FAULTY)
 def test_bad_input_is_told_with_its_place_and_what_to_do(text: str, tmp_path: Path) -> None:
     file = tmp_path / "scenario.yaml"
-    lines = find_scenario("29-active-ring").read_text().splitlines()
+    lines = find_scenario("28-active-ring").read_text().splitlines()
     (row,) = [k for k, line in enumerate(lines) if line.startswith("mechanism:")]
     lines[row] = f"mechanism: {{kind: idss_ring, active_ring: {{{text}}}}}"
     file.write_text("\n".join(lines))

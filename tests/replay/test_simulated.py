@@ -31,7 +31,7 @@ DOCKINGS: dict[str, tuple[str, dict[str, Any]]] = {
         {"approach.gap": 0.1, "approach.velocity": [0.0, 0.0, 0.15], "duration": 0.7},
     ),
     "ring on legs": (
-        "29-active-ring",
+        "28-active-ring",
         {"approach.gap": 0.1, "approach.velocity": [0.0, 0.0, 0.15], "duration": 0.7},
     ),
     "head on a sprung rod": ("16-probe-drogue", {"approach.gap": 0.05, "duration": 1.5}),
