@@ -633,6 +633,40 @@ def _centre(m, used, rows, best):
 
 
 @njit(cache=True)
+def _widen(m, p, used, work):
+    """Let the interval of the delay, now that the last reading is in, hold a drift that was not
+    worth an unknown: about ``p``, what the samples and its prior say of it together with all else,
+    and by how much the best fit that has it is off.
+    """
+    rows, other, jacobian = work
+    matrix, step = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    joint = used.copy()
+    joint[RATE] = True
+    _jacobian(m, p, joint, rows, other, jacobian)
+    _normal(m, p, joint, rows, jacobian, matrix, step)
+    for c in range(UNKNOWNS):
+        if c >= LINEAR and c != KNOT and joint[c]:
+            precision = 1.0 / prior_sd(m, c) ** 2
+            matrix[c, c] += precision
+            step[c] -= (p[c] - _told(m, c)) * precision
+        if not joint[c] or matrix[c, c] <= 0.0 or (c < LINEAR and p[c] <= 0.0):
+            matrix[c, :] = 0.0
+            matrix[:, c] = 0.0
+            matrix[c, c] = 1.0
+            step[c] = 0.0
+    # the derivatives do not show the instant at which the force sets in, but the interval does
+    matrix[DELAY, DELAY] += CERTAIN / max(p[SPREAD], RESOLUTION) ** 2
+    now, factor = np.zeros(UNKNOWNS), np.empty((UNKNOWNS, UNKNOWNS))
+    age = m.first + m.y.shape[0] - 1.0 - m.felt
+    now[DELAY], now[RATE] = 1.0, age
+    solve(matrix, step, factor)
+    solve(matrix, now, factor)
+    off, variance = step[DELAY] + age * step[RATE], now[DELAY] + age * now[RATE]
+    if math.isfinite(off) and variance > 0.0:
+        p[SPREAD] = max(p[SPREAD], abs(off) + math.sqrt(CERTAIN * variance))
+
+
+@njit(cache=True)
 def _promised(m, p, used, new, work):
     """By how much -2 ln Z falls at best if the unknown ``new`` joins the best fit ``p`` of those
     ``used``, to first order: the score test (C. R. Rao, Proc. Camb. Phil. Soc. 44, 1948), less what
@@ -740,6 +774,7 @@ def fit(m, free, best, used):
     _scatter(m, best, used, work[0])
     if used[DELAY]:
         _centre(m, used, work[0], best)
+        _widen(m, best, used, work)
 
 
 @njit(cache=True)
