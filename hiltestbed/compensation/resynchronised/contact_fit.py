@@ -179,10 +179,10 @@ def _at(c, s, u, read):
 
 
 @njit(cache=True)
-def columns(m, p, rows):
+def columns(m, p, used, rows):
     """The law's columns as the sensor shows them with the solution ``p``, into ``rows`` (r, 4)."""
     if p[LAG] > 0.0 or m.leak[0] < 1.0:
-        _filtered_columns(m, p, rows)
+        _filtered_columns(m, p, used[DEEPENING] or used[STOP], rows)
         return
     c, s, u = _course(m, p), m.s, m.u
     for r in range(m.y.shape[0]):
@@ -191,7 +191,7 @@ def columns(m, p, rows):
 
 
 @njit(cache=True)
-def _filtered_columns(m, p, rows):
+def _filtered_columns(m, p, more, rows):
     smooth, leak = np.empty(2), np.empty(2)
     # an analogue filter acts between the ticks, too
     times = m.substeps if p[LAG] > 0.0 and p[DIGITAL] == 0.0 else 1
@@ -206,8 +206,9 @@ def _filtered_columns(m, p, rows):
             x, v, deep, over = _at(c, s, u, m.first + r - back / times)
             x = filtered(x, smooth, leak, memory[0])
             v = filtered(v, smooth, leak, memory[1])
-            deep = filtered(deep, smooth, leak, memory[2])
-            over = filtered(over, smooth, leak, memory[3])
+            if more:
+                deep = filtered(deep, smooth, leak, memory[2])
+                over = filtered(over, smooth, leak, memory[3])
         rows[r, 0], rows[r, 1], rows[r, 2], rows[r, 3] = x, v, deep, over
 
 
@@ -216,7 +217,7 @@ def misfit(m, p, used, rows):
     """The best coefficients of the law for the other unknowns in ``p``, and CHI; returns -2 ln of
     likelihood times prior.
     """
-    columns(m, p, rows)
+    columns(m, p, used, rows)
     a, b = np.zeros((LINEAR, LINEAR)), np.zeros(LINEAR)
     total, last = 0.0, LINEAR if used[DEEPENING] or used[STOP] else DEEPENING
     for i in range(m.y.shape[0]):
@@ -249,7 +250,7 @@ def _deviance(chi, n):
 def _scatter(m, p, used, rows):
     """Weigh the samples by the scatter of the instants at which they acted, SCATTER."""
     n = m.y.shape[0]
-    columns(m, p, rows)
+    columns(m, p, used, rows)
     size, rest, slope = np.zeros(n), np.zeros(n), np.zeros(n)
     for i in range(n):
         for c in range(LINEAR):
@@ -364,7 +365,7 @@ def _jacobian(m, p, used, rows, other, jacobian):
     step = int(p[ONSET])
     travel = abs(m.s[step] - m.s[step - 1]) + 1e-12
     near = np.empty(SOLUTION)
-    columns(m, p, rows)
+    columns(m, p, used, rows)
     n = m.y.shape[0]
     for c in range(UNKNOWNS):
         if not used[c]:
@@ -379,7 +380,7 @@ def _jacobian(m, p, used, rows, other, jacobian):
         elif c == RATE:
             d /= m.first + n - m.felt
         near[c] += d
-        columns(m, near, other)
+        columns(m, near, used, other)
         for i in range(n):
             change = 0.0
             for e in range(LINEAR):
@@ -707,8 +708,7 @@ def _promised(m, p, used, new, work):
             gradient[c] /= matrix[c, c]
             own -= across[c] ** 2
             slope -= across[c] * gradient[c]
-        own_sd = peak / max(np.max(np.abs(rows[:, new])), 1e-300)
-        sd = own_sd if new < LINEAR else prior_sd(m, new)
+        sd = peak / max(np.max(np.abs(rows[:, new])), 1e-300) if new < LINEAR else prior_sd(m, new)
         if own > 0.0:
             gain = slope**2 / (own + 1.0 / sd**2)
             best = max(best, gain - math.log(1.0 + own * sd**2))
