@@ -124,7 +124,9 @@ def low_pass_of(lag, digital, weights):
 
 
 class Course(NamedTuple):
-    """A solution, in registers: an array that is read while others are written is read again."""
+    """A solution, in registers: an array that is read while others are written is read again. felt,
+    substeps: as in the window. last: step but one.
+    """
 
     stiffness: float
     damping: float
@@ -137,7 +139,7 @@ class Course(NamedTuple):
     onset: float
     felt: int
     substeps: int
-    last: float
+    last: int
 
 
 @njit(cache=True, inline="always")
@@ -154,7 +156,7 @@ def _course(m, p):
         p[ONSET],
         m.felt,
         m.substeps,
-        m.s.shape[0] - 1.001,
+        m.s.shape[0] - 2,
     )
 
 
@@ -168,9 +170,8 @@ def _acts(c, step, x, v):
 @njit(cache=True, inline="always")
 def _at(c, s, u, read):
     """The columns of a reading at the instant ``read`` [ticks]."""
-    at = (read - c.delay - c.rate * (read - c.felt)) * c.substeps
-    at = min(max(at, 0.0), c.last)
-    j = int(at)
+    at = max((read - c.delay - c.rate * (read - c.felt)) * c.substeps, 0.0)
+    j = min(int(at), c.last)
     x, v, y, w = s[j] - c.point, u[j], s[j + 1] - c.point, u[j + 1]
     a = (1.0 - (at - j)) * _acts(c, j, x, v)
     b = (at - j) * _acts(c, j + 1, y, w)
