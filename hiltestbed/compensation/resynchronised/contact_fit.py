@@ -70,25 +70,25 @@ DAMP = 1e-3  # first damping of a step, over the diagonal of the normal equation
 
 
 class ContactWindow(NamedTuple):
-    """A contact so far, at ticks, ``(n,)``.
+    """A contact so far, at steps of the physics, ``(n,)``, and its readings at ticks, ``(r,)``.
 
-    s, u: position [m] and rate [m/s] along the gradient. y: force as read [N]. variance: of its
-    noise [N^2]. weight: of each sample, 1 with that noise. first: the first sample that counts.
-    felt: the first that exceeds the noise. substeps: in a tick, between which the sensor
-    interpolates. held: whether the rate is constant within a tick. lag, digital: [ticks] time
-    constant and kind of the told low-pass. leak: (2,) of the sensor's high-pass. told: [ticks].
-    expected: [m] touch point.
+    s, u: position [m] and rate [m/s] along the gradient. y: force as read [N]. first: the tick of
+    the first reading, from the first step on. variance: of the noise [N^2]. weight: of each
+    reading, 1 with that noise. wide: (1,) sum of -ln of the weights. felt: the first tick whose
+    force exceeds the noise. substeps: in a tick. lag, digital: [ticks] time constant and kind of
+    the told low-pass. leak: (2,) of the sensor's high-pass. told: [ticks]. expected: [m] touch
+    point.
     """
 
     s: Array
     u: Array
     y: Array
+    first: int
     variance: float
     weight: Array
-    first: int
+    wide: Array
     felt: int
-    substeps: float
-    held: bool
+    substeps: int
     lag: float
     digital: float
     leak: Array
@@ -96,23 +96,15 @@ class ContactWindow(NamedTuple):
     expected: float
 
 
-@njit(cache=True, inline="always")
-def _position(m, step):
-    """Position [m] at a step of the physics."""
-    t = step / m.substeps
-    j = min(max(int(math.ceil(t - 1e-9)), 1), m.s.shape[0] - 1)
-    return m.s[j - 1] + (t - (j - 1)) * (m.s[j] - m.s[j - 1])
-
-
 @njit(cache=True)
 def onset(m, touch):
     """The step of the physics that first is beyond a touch point [m], in the latest passage before
     the force was felt.
     """
-    step = int(m.felt * m.substeps)
-    while step > 1 and _position(m, step) <= touch:
+    step = m.felt * m.substeps
+    while step > 1 and m.s[step] <= touch:
         step -= 1
-    while step > 1 and _position(m, step - 1) > touch:
+    while step > 1 and m.s[step - 1] > touch:
         step -= 1
     return step
 
@@ -131,43 +123,94 @@ def low_pass_of(lag, digital, weights):
         weights[0], weights[1] = 1.0 - b, b - a
 
 
+class Course(NamedTuple):
+    """A solution, in registers: an array that is read while others are written is read again. felt,
+    substeps: as in the window. last: step but one.
+    """
+
+    stiffness: float
+    damping: float
+    deepening: float
+    stop: float
+    point: float
+    delay: float
+    rate: float
+    knot: float
+    onset: float
+    felt: int
+    substeps: int
+    last: int
+
+
+@njit(cache=True, inline="always")
+def _course(m, p):
+    return Course(
+        p[STIFFNESS],
+        p[DAMPING],
+        p[DEEPENING],
+        p[STOP],
+        p[POINT],
+        p[DELAY],
+        p[RATE],
+        p[KNOT],
+        p[ONSET],
+        m.felt,
+        m.substeps,
+        m.s.shape[0] - 2,
+    )
+
+
+@njit(cache=True, inline="always")
+def _acts(c, step, x, v):
+    """1 where a contact pushes, with the coefficients of the last solution, else 0."""
+    force = c.stiffness * x + c.damping * v + c.deepening * x * v + c.stop * max(x - c.knot, 0.0)
+    return 1.0 if step >= c.onset and force >= 0.0 and (x > 0.0 or v > 0.0) else 0.0
+
+
+@njit(cache=True, inline="always")
+def _at(c, s, u, read):
+    """The columns of a reading at the instant ``read`` [ticks]."""
+    at = max((read - c.delay - c.rate * (read - c.felt)) * c.substeps, 0.0)
+    j = min(int(at), c.last)
+    x, v, y, w = s[j] - c.point, u[j], s[j + 1] - c.point, u[j + 1]
+    a = (1.0 - (at - j)) * _acts(c, j, x, v)
+    b = (at - j) * _acts(c, j + 1, y, w)
+    over = a * max(x - c.knot, 0.0) + b * max(y - c.knot, 0.0)
+    return a * x + b * y, a * v + b * w, a * x * v + b * y * w, over
+
+
 @njit(cache=True)
 def columns(m, p, used, rows):
-    """The law's columns as the sensor shows them with the solution ``p``, into ``rows`` (n, 4)."""
-    n = m.s.shape[0]
-    memory = np.zeros((LINEAR, FILTERED))
-    x, v, smooth, leak = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
+    """The law's columns as the sensor shows them with the solution ``p``, into ``rows`` (r, 4)."""
+    if p[LAG] > 0.0 or m.leak[0] < 1.0:
+        _filtered_columns(m, p, used[DEEPENING] or used[STOP], rows)
+        return
+    c, s, u = _course(m, p), m.s, m.u
+    for r in range(m.y.shape[0]):
+        x, v, deep, over = _at(c, s, u, float(m.first + r))
+        rows[r, 0], rows[r, 1], rows[r, 2], rows[r, 3] = x, v, deep, over
+
+
+@njit(cache=True)
+def _filtered_columns(m, p, more, rows):
+    smooth, leak = np.empty(2), np.empty(2)
     # an analogue filter acts between the ticks, too
-    times = int(m.substeps) if p[LAG] > 0.0 and p[DIGITAL] == 0.0 else 1
+    times = m.substeps if p[LAG] > 0.0 and p[DIGITAL] == 0.0 else 1
     low_pass_of(p[LAG] * times, p[DIGITAL], smooth)
     leak[0] = m.leak[0] ** (1.0 / times)
     leak[1] = m.leak[1] ** (1.0 / times)
-    for i in range(m.first, n):
+    c, s, u = _course(m, p), m.s, m.u
+    memory = np.zeros((LINEAR, FILTERED))
+    for r in range(m.y.shape[0]):
+        x, v, deep, over = 0.0, 0.0, 0.0, 0.0
         for back in range(times - 1, -1, -1):
-            read = i - back / times
-            at = (read - p[DELAY] - p[RATE] * (read - m.felt)) * m.substeps
-            early = math.floor(at)
-            for e in range(2):
-                t = (early + e) / m.substeps
-                j = min(max(int(math.ceil(t - 1e-9)), 1), n - 1)
-                part = t - (j - 1)
-                x[e] = m.s[j - 1] + part * (m.s[j] - m.s[j - 1]) - p[POINT]
-                v[e] = m.u[j] if m.held else m.u[j - 1] + part * (m.u[j] - m.u[j - 1])
-                # a contact does not pull: with the coefficients of the last solution
-                force = p[STIFFNESS] * x[e] + p[DAMPING] * v[e] + p[DEEPENING] * x[e] * v[e]
-                force += p[STOP] * max(x[e] - p[KNOT], 0.0)
-                if early + e < p[ONSET] or force < 0.0 or (x[e] <= 0.0 and v[e] <= 0.0):
-                    x[e], v[e] = 0.0, 0.0
-            part, row = at - early, rows[i]
-            row[0] = (1.0 - part) * x[0] + part * x[1]
-            row[1] = (1.0 - part) * v[0] + part * v[1]
-            if used[DEEPENING]:
-                row[2] = (1.0 - part) * x[0] * v[0] + part * x[1] * v[1]
-            if used[STOP]:
-                row[3] = (1.0 - part) * max(x[0] - p[KNOT], 0.0) + part * max(x[1] - p[KNOT], 0.0)
-            for c in range(LINEAR):
-                if used[c]:
-                    row[c] = filtered(row[c], smooth, leak, memory[c])
+            x, v, deep, over = _at(c, s, u, m.first + r - back / times)
+            x = filtered(x, smooth, leak, memory[0])
+            v = filtered(v, smooth, leak, memory[1])
+            if more:
+                deep = filtered(deep, smooth, leak, memory[2])
+                over = filtered(over, smooth, leak, memory[3])
+        rows[r, 0], rows[r, 1], rows[r, 2], rows[r, 3] = x, v, deep, over
 
 
 @njit(cache=True)
@@ -177,21 +220,20 @@ def misfit(m, p, used, rows):
     """
     columns(m, p, used, rows)
     a, b = np.zeros((LINEAR, LINEAR)), np.zeros(LINEAR)
-    total = 0.0
-    wide = 0.0
-    for i in range(m.first, m.s.shape[0]):
+    total, last = 0.0, LINEAR if used[DEEPENING] or used[STOP] else DEEPENING
+    for i in range(m.y.shape[0]):
         y, w = m.y[i], m.weight[i]
-        wide -= math.log(w)
-        for c in range(LINEAR):
-            if used[c]:
-                b[c] += w * rows[i, c] * y
-                for d in range(c + 1):
-                    if used[d]:
-                        a[c, d] += w * rows[i, c] * rows[i, d]
         total += w * y * y
+        for c in range(last):
+            part = w * rows[i, c]
+            b[c] += part * y
+            for d in range(c + 1):
+                a[c, d] += part * rows[i, d]
+    for c in range(LINEAR):
+        if not used[c]:
+            a[c, :], b[c] = 0.0, 0.0
     p[CHI] = max(total - _explained(a, b, p[:LINEAR]), 0.0) / m.variance
-    n = m.s.shape[0] - m.first
-    out = wide + _deviance(p[CHI], n)
+    out = m.wide[0] + _deviance(p[CHI], m.y.shape[0])
     for c in range(LINEAR, UNKNOWNS):
         if used[c] and c != KNOT:
             off = (p[c] - _told(m, c)) / prior_sd(m, c)
@@ -208,32 +250,35 @@ def _deviance(chi, n):
 @njit(cache=True)
 def _scatter(m, p, used, rows):
     """Weigh the samples by the scatter of the instants at which they acted, SCATTER."""
-    n = m.s.shape[0]
+    n = m.y.shape[0]
     columns(m, p, used, rows)
     size, rest, slope = np.zeros(n), np.zeros(n), np.zeros(n)
-    for i in range(m.first, n):
+    for i in range(n):
         for c in range(LINEAR):
             if used[c]:
                 size[i] += p[c] * rows[i, c]
         rest[i] = (m.y[i] - size[i]) ** 2 / m.variance
-    for i in range(m.first, n):
-        before = size[i] - size[i - 1]
+    for i in range(n):
+        before = size[i] - (size[i - 1] if i > 0 else 0.0)
         after = size[i + 1] - size[i] if i + 1 < n else before
         slope[i] = 0.5 * (before * before + after * after) / m.variance
-    best, count = np.inf, n - m.first
+    best = np.inf
     for q in range(SCATTERS):
         sd = 0.0 if q == 0 else LEAST_SCATTER * 2.0 ** (q - 1)
-        chi, out = 0.0, math.log(2.0 * count) if q > 0 else 0.0
-        for i in range(m.first, n):
+        chi, out = 0.0, math.log(2.0 * m.y.shape[0]) if q > 0 else 0.0
+        for i in range(n):
             wide = 1.0 + sd * sd * slope[i]
             chi += rest[i] / wide
             out += math.log(wide)
-        out += _deviance(chi, count)
+        out += _deviance(chi, m.y.shape[0])
         if out < best:
             best = out
             p[SCATTER] = sd
+    m.wide[0] = 0.0
     for i in range(n):
-        m.weight[i] = 1.0 / (1.0 + p[SCATTER] ** 2 * slope[i])
+        wide = 1.0 + p[SCATTER] ** 2 * slope[i]
+        m.weight[i] = 1.0 / wide
+        m.wide[0] += math.log(wide)
 
 
 @njit(cache=True, inline="always")
@@ -252,7 +297,7 @@ def prior_sd(m, c):
     if c == POINT:
         return TOUCH_SD
     if c == RATE:
-        return DELAY_SD * m.told / (m.s.shape[0] - m.felt)
+        return DELAY_SD * m.told / (m.first + m.y.shape[0] - m.felt)
     return LAG_SD if c == LAG else DELAY_SD * m.told
 
 
@@ -300,17 +345,15 @@ def _explained(a, b, x):
 
 @njit(cache=True)
 def _deepest(m, p):
-    deepest = 0.0
-    for j in range(m.first, m.s.shape[0]):
-        deepest = max(deepest, m.s[max(int(j - p[DELAY]), 0)] - p[POINT])
-    return deepest
+    last = int(max((m.first + m.y.shape[0] - 1 - p[DELAY]) * m.substeps, 0.0))
+    return np.max(m.s[: last + 1]) - p[POINT]
 
 
 @njit(cache=True)
 def _bounded(m, p, deepest):
     """Keep the unknowns where the model means something."""
     step = int(p[ONSET])
-    p[POINT] = min(max(p[POINT], _position(m, step - 1)), _position(m, step))
+    p[POINT] = min(max(p[POINT], m.s[step - 1]), m.s[step])
     p[DELAY] = min(max(p[DELAY], max(NARROW * m.told, 1.0)), max(WIDE * m.told, 2.0))
     p[LAG] = max(p[LAG], 0.0)
     p[RATE] = min(max(p[RATE], -0.5), 0.5)
@@ -320,10 +363,11 @@ def _bounded(m, p, deepest):
 @njit(cache=True)
 def _jacobian(m, p, used, rows, other, jacobian):
     """Derivatives of the reading by the unknowns in use, into ``jacobian`` (n, UNKNOWNS)."""
-    travel = abs(_position(m, int(p[ONSET])) - _position(m, int(p[ONSET]) - 1)) + 1e-12
+    step = int(p[ONSET])
+    travel = abs(m.s[step] - m.s[step - 1]) + 1e-12
     near = np.empty(SOLUTION)
     columns(m, p, used, rows)
-    n = m.s.shape[0]
+    n = m.y.shape[0]
     for c in range(UNKNOWNS):
         if not used[c]:
             continue
@@ -335,10 +379,10 @@ def _jacobian(m, p, used, rows, other, jacobian):
         if c in (POINT, KNOT):
             d *= travel
         elif c == RATE:
-            d /= n - m.felt
+            d /= m.first + n - m.felt
         near[c] += d
         columns(m, near, used, other)
-        for i in range(m.first, n):
+        for i in range(n):
             change = 0.0
             for e in range(LINEAR):
                 if used[e]:
@@ -349,10 +393,10 @@ def _jacobian(m, p, used, rows, other, jacobian):
 @njit(cache=True)
 def _normal(m, p, used, rows, jacobian, matrix, gradient):
     """Normal equations (UNKNOWNS, UNKNOWNS), without the priors, in units of f sigma^2."""
-    n = m.s.shape[0]
-    scale = 1.0 / (m.variance * max(1.0, p[CHI] / (n - m.first)))
+    n = m.y.shape[0]
+    scale = 1.0 / (m.variance * max(1.0, p[CHI] / m.y.shape[0]))
     matrix[:], gradient[:] = 0.0, 0.0
-    for i in range(m.first, n):
+    for i in range(n):
         rest, weight = m.y[i], scale * m.weight[i]
         for c in range(LINEAR):
             if used[c]:
@@ -392,7 +436,7 @@ def _descend(m, p, used, work):
     matrix, gradient = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     a, d = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     trial = np.empty(SOLUTION)
-    deepest = _deepest(m, p)
+    deepest = _deepest(m, p) if used[STOP] else 0.0
     _bounded(m, p, deepest)
     best = misfit(m, p, used, rows)
     if not np.any(used[LINEAR:]):
@@ -457,7 +501,7 @@ def _settle(m, p, used, work):
         while True:
             trial[:] = p
             trial[ONSET] += way
-            if trial[ONSET] < 2.0 or trial[ONSET] > m.s.shape[0] * m.substeps - 2.0:
+            if trial[ONSET] < 2.0 or trial[ONSET] > m.s.shape[0] - 2.0:
                 break
             if used[DELAY]:
                 trial[DELAY] -= way / m.substeps
@@ -476,13 +520,13 @@ def _evidence(m, p, used, found, work):
     matrix, gradient = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     _jacobian(m, p, used, rows, other, jacobian)
     _normal(m, p, used, rows, jacobian, matrix, gradient)
-    peak = np.max(np.abs(m.y[m.first :]))
+    peak = np.max(np.abs(m.y))
     scale = np.zeros(UNKNOWNS)
     for c in range(UNKNOWNS):
         if not used[c] or (c < LINEAR and p[c] <= 0.0):
             continue
         if c < LINEAR:
-            scale[c] = peak / max(np.max(np.abs(rows[m.first :, c])), 1e-300)
+            scale[c] = peak / max(np.max(np.abs(rows[:, c])), 1e-300)
         elif c == KNOT:
             scale[c] = _deepest(m, p) / math.sqrt(12.0)
         else:
@@ -490,12 +534,12 @@ def _evidence(m, p, used, found, work):
     # the step at which the force sets in confines the touch point
     step = int(p[ONSET])
     if used[POINT]:
-        matrix[POINT, POINT] += 12.0 / (_position(m, step) - _position(m, step - 1)) ** 2
+        matrix[POINT, POINT] += 12.0 / (m.s[step] - m.s[step - 1]) ** 2
     for c in range(UNKNOWNS):
         for d in range(UNKNOWNS):
             matrix[c, d] *= scale[c] * scale[d]
         matrix[c, c] += 1.0
-    p[COST] = found + (math.log(2.0 * (m.s.shape[0] - m.first)) if p[SCATTER] > 0.0 else 0.0)
+    p[COST] = found + (math.log(2.0 * m.y.shape[0]) if p[SCATTER] > 0.0 else 0.0)
     if _cholesky(matrix):
         for c in range(UNKNOWNS):
             p[COST] += 2.0 * math.log(matrix[c, c])
@@ -511,15 +555,24 @@ def _grown(m, parent, used, new, work, out):
     out[COST] = np.inf
     start = np.empty(SOLUTION)
     for digital in range(2 if new == LAG else 1):
+        _scatter(m, parent, used, work[0])
         start[:] = parent
         if new == LAG:
             start[DIGITAL] = digital
         _begin(m, start, used, new, work[0])
-        _settle(m, start, used, work)
-        _scatter(m, start, used, work[0])
-        _evidence(m, start, used, _settle(m, start, used, work), work)
+        _settled(m, start, used, work)
         if start[COST] < out[COST]:
             out[:] = start
+
+
+@njit(cache=True)
+def _settled(m, p, used, work):
+    """From ``p`` to the best solution and its -2 ln Z."""
+    before, best = p[SCATTER], _settle(m, p, used, work)
+    _scatter(m, p, used, work[0])
+    if before > 0.0 or p[SCATTER] > 0.0:  # the weights are others
+        best = _descend(m, p, used, work)
+    _evidence(m, p, used, best, work)
 
 
 @njit(cache=True)
@@ -582,6 +635,40 @@ def _centre(m, used, rows, best):
 
 
 @njit(cache=True)
+def _widen(m, p, used, work):
+    """Let the interval of the delay, now that the last reading is in, hold a drift that was not
+    worth an unknown: about ``p``, what the samples and its prior say of it together with all else,
+    and by how much the best fit that has it is off.
+    """
+    rows, other, jacobian = work
+    matrix, step = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    joint = used.copy()
+    joint[RATE] = True
+    _jacobian(m, p, joint, rows, other, jacobian)
+    _normal(m, p, joint, rows, jacobian, matrix, step)
+    for c in range(UNKNOWNS):
+        if c >= LINEAR and c != KNOT and joint[c]:
+            precision = 1.0 / prior_sd(m, c) ** 2
+            matrix[c, c] += precision
+            step[c] -= (p[c] - _told(m, c)) * precision
+        if not joint[c] or matrix[c, c] <= 0.0 or (c < LINEAR and p[c] <= 0.0):
+            matrix[c, :] = 0.0
+            matrix[:, c] = 0.0
+            matrix[c, c] = 1.0
+            step[c] = 0.0
+    # the derivatives do not show the instant at which the force sets in, but the interval does
+    matrix[DELAY, DELAY] += CERTAIN / max(p[SPREAD], RESOLUTION) ** 2
+    now, factor = np.zeros(UNKNOWNS), np.empty((UNKNOWNS, UNKNOWNS))
+    age = m.first + m.y.shape[0] - 1.0 - m.felt
+    now[DELAY], now[RATE] = 1.0, age
+    solve(matrix, step, factor)
+    solve(matrix, now, factor)
+    off, variance = step[DELAY] + age * step[RATE], now[DELAY] + age * now[RATE]
+    if math.isfinite(off) and variance > 0.0:
+        p[SPREAD] = max(p[SPREAD], abs(off) + math.sqrt(CERTAIN * variance))
+
+
+@njit(cache=True)
 def _promised(m, p, used, new, work):
     """By how much -2 ln Z falls at best if the unknown ``new`` joins the best fit ``p`` of those
     ``used``, to first order: the score test (C. R. Rao, Proc. Camb. Phil. Soc. 44, 1948), less what
@@ -592,7 +679,8 @@ def _promised(m, p, used, new, work):
     joint, near = used.copy(), p.copy()
     joint[new] = True
     knots = KNOTS if new == STOP else 1
-    peak, deepest, best = np.max(np.abs(m.y[m.first :])), _deepest(m, p), -np.inf
+    peak, best = np.max(np.abs(m.y)), -np.inf
+    deepest = _deepest(m, p) if new == STOP else 0.0
     for q in range(knots):
         if new == STOP:
             near[KNOT] = (SHALLOW + (DEEP - SHALLOW) * q / (KNOTS - 1)) * deepest
@@ -621,10 +709,7 @@ def _promised(m, p, used, new, work):
             gradient[c] /= matrix[c, c]
             own -= across[c] ** 2
             slope -= across[c] * gradient[c]
-        if new < LINEAR:
-            sd = peak / max(np.max(np.abs(rows[m.first :, new])), 1e-300)
-        else:
-            sd = prior_sd(m, new)
+        sd = peak / max(np.max(np.abs(rows[:, new])), 1e-300) if new < LINEAR else prior_sd(m, new)
         if own > 0.0:
             gain = slope**2 / (own + 1.0 / sd**2)
             best = max(best, gain - math.log(1.0 + own * sd**2))
@@ -637,7 +722,7 @@ def fit(m, free, best, used):
 
     best: (SOLUTION,), out. used: (UNKNOWNS,) whether an unknown of it was searched, out.
     """
-    n = m.s.shape[0]
+    n = m.y.shape[0]
     work = (np.zeros((n, LINEAR)), np.zeros((n, LINEAR)), np.zeros((n, UNKNOWNS)))
     told, now, mine = np.zeros(SOLUTION), np.zeros(SOLUTION), np.zeros(UNKNOWNS, dtype=np.bool_)
     told[POINT], told[DELAY], told[LAG] = m.expected, m.told, m.lag
@@ -648,8 +733,7 @@ def fit(m, free, best, used):
     _evidence(m, told, mine, misfit(m, told, mine, work[0]), work)
     best[:], used[:], now[:] = told, mine, told
     child, better = np.empty(SOLUTION), np.empty(SOLUTION)
-    dof = n - m.first
-    enough = dof + ENOUGH * math.sqrt(2.0 * dof)
+    enough = m.y.shape[0] + ENOUGH * math.sqrt(2.0 * m.y.shape[0])
     choice, idle = np.zeros(len(GROWS) + 1), 0
     for level in range(len(GROWS)):
         better[COST] = np.inf
@@ -667,7 +751,6 @@ def fit(m, free, best, used):
                 continue
             mine[new] = True
             mine[KNOT] = mine[STOP]
-            _scatter(m, now, mine, work[0])
             _grown(m, now, mine, new, work, child)
             mine[new] = False
             mine[KNOT] = mine[STOP]
@@ -692,6 +775,7 @@ def fit(m, free, best, used):
     _scatter(m, best, used, work[0])
     if used[DELAY]:
         _centre(m, used, work[0], best)
+        _widen(m, best, used, work)
 
 
 @njit(cache=True)
@@ -714,9 +798,7 @@ def _pruned(m, told, choice, work, best, used):
             if used[DELAY]:
                 child[DELAY] += (best[ONSET] - told[ONSET]) / m.substeps
         _scatter(m, best, used, work[0])
-        _settle(m, child, less, work)
-        _scatter(m, child, less, work[0])
-        _evidence(m, child, less, _settle(m, child, less, work), work)
+        _settled(m, child, less, work)
         child[COST] += choice[level - 1]
         if child[COST] < best[COST]:
             best[:], used[:] = child, less

@@ -194,7 +194,7 @@ def _refit(i, m, work, rows):
     h, setup, state = m.tick, m.setup, m.state
     fit, law, count, tick = state.fit[i], state.law[i], state.count[i], state.tick[i]
     samples = _samples(i, m)
-    if samples.s.shape[0] > state.x.shape[1]:
+    if samples.first + samples.y.shape[0] > state.x.shape[1]:
         return
     best, used = np.zeros(cf.SOLUTION), np.zeros(cf.UNKNOWNS, dtype=np.bool_)
     cf.fit(samples, setup.estimate[i] == 1, best, used)
@@ -232,26 +232,33 @@ def _samples(i, m):
     begin = max(tick[FELT] - int((1.0 - cf.NARROW) * told) - cf.BEFORE, 0)
     start = max(begin - int(cf.WIDE * told) - cf.BEFORE, 0)
     n = tick[DONE] + 1 - start
-    s, u, y = np.empty(n), np.empty(n), np.empty(n)
+    steps = int(m.substeps)
+    size = (n - 1) * steps + 1
+    s, u, y = np.empty(size), np.empty(size), np.empty(n)
     peak = 0.0
     for j in range(n):
-        slot = (start + j) % length
-        s[j], u[j] = state.x[i, slot, 2], state.rate[i, slot, 2]
-        y[j] = state.wrench[i, slot, 2]
+        now, before = (start + j) % length, (start + j - 1) % length
+        y[j] = state.wrench[i, now, 2]
         peak = max(peak, y[j])
+        x, v = state.x[i, now, 2], state.rate[i, now, 2]
+        for back in range(min(steps, j * steps + 1)):
+            # the rate of a prescribed platform is constant within a tick
+            share = back / steps
+            s[j * steps - back] = x + share * (state.x[i, before, 2] - x)
+            u[j * steps - back] = v if m.ideal else v + share * (state.rate[i, before, 2] - v)
     first = felt = tick[FELT] - start
     while first > begin - start and y[first - 1] <= GATE_SIGMA * sigma:
         first -= 1  # not into an earlier contact
     return cf.ContactWindow(
         s,
         u,
-        y,
-        max(sigma * sigma, (ce.MODEL_ERROR * peak) ** 2),
-        np.ones(n),
+        y[first:],
         first,
+        max(sigma * sigma, (ce.MODEL_ERROR * peak) ** 2),
+        np.ones(n - first),
+        np.zeros(1),
         felt,
-        m.substeps,
-        m.ideal,
+        steps,
         state.told[i, SMOOTHED],
         state.told[i, DIGITAL],
         setup.leak[i],
