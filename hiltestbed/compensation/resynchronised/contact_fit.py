@@ -37,7 +37,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.kernels import solve
 from hiltestbed.sensor.chain import FILTERED, filtered
@@ -372,9 +372,9 @@ def _jacobian(m, p, used, rows, other, jacobian):
         if not used[c]:
             continue
         if c < LINEAR:
-            jacobian[:, c] = rows[:, c]
+            copied(rows[:, c], jacobian[:, c])
             continue
-        near[:] = p
+        copied(p, near)
         d = RESOLUTION
         if c in (POINT, KNOT):
             d *= travel
@@ -452,7 +452,8 @@ def _descend(m, p, used, work):
                     precision = 1.0 / prior_sd(m, c) ** 2
                     matrix[c, c] += precision
                     gradient[c] -= (p[c] - _told(m, c)) * precision
-        a[:], d[:] = matrix, gradient
+        copied(matrix, a)
+        copied(gradient, d)
         for c in range(UNKNOWNS):
             a[c, c] *= 1.0 + damp
             if not used[c] or matrix[c, c] <= 0.0 or (c < LINEAR and p[c] <= 0.0):
@@ -465,7 +466,7 @@ def _descend(m, p, used, work):
             damp *= 10.0
             fresh = False
             continue
-        trial[:] = p
+        copied(p, trial)
         for c in range(LINEAR, UNKNOWNS):
             if used[c]:
                 trial[c] += d[c]
@@ -475,7 +476,7 @@ def _descend(m, p, used, work):
             fresh = True
             gained = best - found
             best = found
-            p[:] = trial
+            copied(trial, p)
             damp = max(0.1 * damp, 1e-9)
             if gained < 1e-3:
                 break
@@ -499,7 +500,7 @@ def _settle(m, p, used, work):
     trial = np.empty(SOLUTION)
     for way in (-1, 1):
         while True:
-            trial[:] = p
+            copied(p, trial)
             trial[ONSET] += way
             if trial[ONSET] < 2.0 or trial[ONSET] > m.s.shape[0] - 2.0:
                 break
@@ -509,7 +510,7 @@ def _settle(m, p, used, work):
             if found >= best:
                 break
             best = found
-            p[:] = trial
+            copied(trial, p)
     return best
 
 
@@ -556,13 +557,13 @@ def _grown(m, parent, used, new, work, out):
     start = np.empty(SOLUTION)
     for digital in range(2 if new == LAG else 1):
         _scatter(m, parent, used, work[0])
-        start[:] = parent
+        copied(parent, start)
         if new == LAG:
             start[DIGITAL] = digital
         _begin(m, start, used, new, work[0])
         _settled(m, start, used, work)
         if start[COST] < out[COST]:
-            out[:] = start
+            copied(start, out)
 
 
 @njit(cache=True)
@@ -582,13 +583,13 @@ def _begin(m, p, used, new, rows):
     if new == DELAY:
         latest = m.felt - (parent[ONSET] - 1.0) / m.substeps
         for q in range(4 * LATE + 1):
-            trial[:] = parent
+            copied(parent, trial)
             trial[DELAY] = latest - 0.25 * q
             best = _better(m, trial, used, rows, best, p)
     elif new == LAG:
         for q in range(LAGS):
             for e in range(2 if used[DELAY] else 1):
-                trial[:] = parent
+                copied(parent, trial)
                 trial[LAG] = 0.25 * 2.0**q
                 if e == 1:
                     trial[DELAY] -= trial[LAG] - parent[LAG]
@@ -596,7 +597,7 @@ def _begin(m, p, used, new, rows):
     elif new == STOP:
         deepest = _deepest(m, parent)
         for q in range(KNOTS):
-            trial[:] = parent
+            copied(parent, trial)
             trial[KNOT] = (SHALLOW + (DEEP - SHALLOW) * q / (KNOTS - 1)) * deepest
             best = _better(m, trial, used, rows, best, p)
 
@@ -606,7 +607,7 @@ def _better(m, trial, used, rows, best, p):
     """The smaller of ``best`` and the misfit of ``trial``, which then is copied into ``p``."""
     found = misfit(m, trial, used, rows) if trial[DELAY] >= 1.0 else np.inf
     if found < best:
-        p[:] = trial
+        copied(trial, p)
     return min(found, best)
 
 
@@ -630,7 +631,7 @@ def _centre(m, used, rows, best):
         ends[e] = inside
     trial[DELAY] = 0.5 * (ends[0] + ends[1])
     if misfit(m, trial, used, rows) < limit:
-        best[:UNKNOWNS] = trial[:UNKNOWNS]
+        copied(trial[:UNKNOWNS], best[:UNKNOWNS])
     best[SPREAD] = 0.5 * (ends[1] - ends[0])
 
 
@@ -731,7 +732,9 @@ def fit(m, free, best, used):
     misfit(m, told, mine, work[0])
     _scatter(m, told, mine, work[0])
     _evidence(m, told, mine, misfit(m, told, mine, work[0]), work)
-    best[:], used[:], now[:] = told, mine, told
+    copied(told, best)
+    copied(mine, used)
+    copied(told, now)
     child, better = np.empty(SOLUTION), np.empty(SOLUTION)
     enough = m.y.shape[0] + ENOUGH * math.sqrt(2.0 * m.y.shape[0])
     choice, idle = np.zeros(len(GROWS) + 1), 0
@@ -755,13 +758,13 @@ def fit(m, free, best, used):
             mine[new] = False
             mine[KNOT] = mine[STOP]
             if child[COST] < better[COST]:
-                better[:] = child
+                copied(child, better)
                 add = new
         if add < 0:
             break
         mine[add] = True
         mine[KNOT] = mine[STOP]
-        now[:] = better
+        copied(better, now)
         # every model of so many unknowns is as likely beforehand
         choice[level + 1] = choice[level] + 2.0 * math.log(tried)
         now[COST] += choice[level + 1]
@@ -788,10 +791,10 @@ def _pruned(m, told, choice, work, best, used):
             level += used[new]
         if not used[out] or level < 2 or (out == DELAY and used[RATE]):
             continue
-        less[:] = used
+        copied(used, less)
         less[out] = False
         less[KNOT] = less[STOP]
-        child[:] = best
+        copied(best, child)
         child[out] = told[out]
         if out == POINT:
             child[ONSET] = told[ONSET]
@@ -801,4 +804,5 @@ def _pruned(m, told, choice, work, best, used):
         _settled(m, child, less, work)
         child[COST] += choice[level - 1]
         if child[COST] < best[COST]:
-            best[:], used[:] = child, less
+            copied(child, best)
+            copied(less, used)

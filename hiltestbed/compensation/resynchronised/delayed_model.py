@@ -12,7 +12,7 @@ import numpy as np
 
 from hiltestbed.compensation.resynchronised import contact_estimate as ce
 from hiltestbed.compensation.resynchronised import contact_fit as cf
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.frames import rotation_vector
 from hiltestbed.identification.samples import GATE_PEAK, GATE_SIGMA
 from hiltestbed.numerical_model.kernels import (
@@ -171,9 +171,9 @@ def _touched(i, m, s, u, work):
 @njit(cache=True, inline="always")
 def _anchor(i, state):
     """Re-runs start from where the delayed model is."""
-    state.q[i, 1] = state.q[i, 0]
-    state.v[i, 1] = state.v[i, 0]
-    state.filtered[i, 1] = state.filtered[i, 0]
+    copied(state.q[i, 0], state.q[i, 1])
+    copied(state.v[i, 0], state.v[i, 1])
+    copied(state.filtered[i, 0], state.filtered[i, 1])
     state.tick[i, ANCHOR] = state.tick[i, DELAYED]
 
 
@@ -270,9 +270,9 @@ def _samples(i, m):
 @njit(cache=True, inline="always")
 def _restore(i, state):
     """The delayed model as it was before the touch."""
-    state.q[i, 0] = state.q[i, 1]
-    state.v[i, 0] = state.v[i, 1]
-    state.filtered[i, 0] = state.filtered[i, 1]
+    copied(state.q[i, 1], state.q[i, 0])
+    copied(state.v[i, 1], state.v[i, 0])
+    copied(state.filtered[i, 1], state.filtered[i, 0])
     state.tick[i, DELAYED] = state.tick[i, ANCHOR]
 
 
@@ -282,7 +282,7 @@ def _rewind(i, m, s, u, work):
     h, fixed, bodies, state = m.tick, m.fixed, m.bodies, m.state
     tick, pose, at = state.tick[i], np.empty(7), np.empty(6)
     relative_motion(state.q[i, 0], state.v[i, 0], bodies.port[i], work, pose, at)
-    at[0:3] = pose[0:3]
+    copied(pose[0:3], at[0:3])
     rotation_vector(pose[3:7], at[3:6])
     reached = along(fixed, state.line[i], at)
     ticks = int(min((reached - s) / (u * h), min(HISTORY // 4, tick[DELAYED]))) if u > 0.0 else 0

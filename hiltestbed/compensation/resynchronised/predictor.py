@@ -10,7 +10,7 @@ import numpy as np
 
 from hiltestbed.compensation.resynchronised import contact_estimate as ce
 from hiltestbed.compensation.resynchronised.delayed_model import DELAYED, DONE, along
-from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.frames import rotation_vector
 from hiltestbed.numerical_model.kernels import (
     carry,
@@ -29,8 +29,8 @@ def predict(i, m, work, at, matrix, pose, twist, predicted):
     ticks = state.tick[i, DONE] + 1 - state.tick[i, DELAYED]
     q, v = np.empty((2, 7)), np.empty((2, 6))
     sums = np.zeros((3, 6))  # force now, impulse, shift
-    q[:] = state.q[i, 0]
-    v[:] = state.v[i, 0]
+    copied(state.q[i, 0], q)
+    copied(state.v[i, 0], v)
     relative_motion(q, v, bodies.port[i], work, pose, twist)
     if ticks == 0:
         for c in range(6):
