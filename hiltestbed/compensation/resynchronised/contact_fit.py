@@ -123,7 +123,7 @@ def low_pass_of(lag, digital, weights):
         weights[0], weights[1] = 1.0 - b, b - a
 
 
-class Course(NamedTuple):
+class Solution(NamedTuple):
     """A solution, in registers: an array that is read while others are written is read again. felt,
     substeps: as in the window. last: step but one.
     """
@@ -143,8 +143,8 @@ class Course(NamedTuple):
 
 
 @njit(cache=True, inline="always")
-def _course(m, p):
-    return Course(
+def _solution(m, p):
+    return Solution(
         p[STIFFNESS],
         p[DAMPING],
         p[DEEPENING],
@@ -185,7 +185,7 @@ def columns(m, p, used, rows):
     if p[LAG] > 0.0 or m.leak[0] < 1.0:
         _filtered_columns(m, p, used[DEEPENING] or used[STOP], rows)
         return
-    c, s, u = _course(m, p), m.s, m.u
+    c, s, u = _solution(m, p), m.s, m.u
     for r in range(m.y.shape[0]):
         x, v, deep, over = _at(c, s, u, float(m.first + r))
         rows[r, 0], rows[r, 1], rows[r, 2], rows[r, 3] = x, v, deep, over
@@ -199,7 +199,7 @@ def _filtered_columns(m, p, more, rows):
     low_pass_of(p[LAG] * times, p[DIGITAL], smooth)
     leak[0] = m.leak[0] ** (1.0 / times)
     leak[1] = m.leak[1] ** (1.0 / times)
-    c, s, u = _course(m, p), m.s, m.u
+    c, s, u = _solution(m, p), m.s, m.u
     memory = np.zeros((LINEAR, FILTERED))
     for r in range(m.y.shape[0]):
         x, v, deep, over = 0.0, 0.0, 0.0, 0.0
