@@ -10,7 +10,6 @@ apart by the odds at which two causes are.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -25,7 +24,6 @@ from hiltestbed.diagnosis.result import Isolable
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import TOLD_APART
-from hiltestbed.inference.model import Hypothesis
 from hiltestbed.inference.search import Progress
 from hiltestbed.process.progress import UnitTime, time_left_text
 
@@ -153,14 +151,17 @@ def detectable(
     """
     here = model.likelihood(max(1, len({c.kind for c in candidates})))
 
-    def enough(c: Candidate, size: float, square: float) -> bool:
-        """Whether a change (its square) is worth the price of the cause in evidence, with
+    def enough(some: Sequence[Candidate], sizes: Sequence[float], squares: Array) -> np.ndarray:
+        """Whether each change (its square) is worth the price of the cause in evidence, with
         certainty, and more than two models of the same physics differ by: -2 log of the likelihood
-        falls by ``square``, with a standard deviation of twice its root.
+        falls by the square, with a standard deviation of twice its root.
         """
-        price = -here.evidence(0.0, (c,))
-        worth = math.sqrt(square) > CERTAINTY + math.sqrt(CERTAINTY**2 + 2.0 * price)
-        return worth and not model.negligible(Hypothesis((c,), _at(c, size), np.zeros(0)), 0)
+        prices = np.array([-here.evidence(0.0, (c,)) for c in some])
+        out = np.sqrt(squares) > CERTAINTY + np.sqrt(CERTAINTY**2 + 2.0 * prices)
+        worth = np.flatnonzero(out).tolist()
+        each: list[Effects] = [[some[i].at(_at(some[i], sizes[i]))] for i in worth]
+        out[worth] = np.logical_not(model.all_negligible([(effects, ()) for effects in each]))
+        return out
 
     largest: dict[str, tuple[Candidate, float]] = {}
     for c, square in zip(
@@ -169,7 +170,7 @@ def detectable(
         if c.kind not in largest or square > largest[c.kind][1]:
             largest[c.kind] = (c, square)
     first = [c for c, _ in largest.values()]
-    shows = [enough(c, 1.0, square) for c, square in largest.values()]
+    shows = enough(first, [1.0] * len(first), np.array([s for _, s in largest.values()]))
     low, high = np.zeros(len(first)), np.array([1.0 if c.names else 0.0 for c in first])
     open_ = [i for i, c in enumerate(first) if c.names and shows[i]]
     pace = UnitTime()
@@ -179,12 +180,13 @@ def detectable(
             left = time_left_text(pace.left(BISECTIONS - done), "in this step")
             progress(f"round {done + 1} of {BISECTIONS}{left}")
         middle = 0.5 * (low + high)
-        squares = _squares(model, [first[i] for i in open_], [middle[i] for i in open_])
-        for i, square in zip(open_, squares, strict=True):
-            ends = high if enough(first[i], middle[i], square) else low
+        some, sizes = [first[i] for i in open_], [middle[i] for i in open_]
+        there = enough(some, sizes, _squares(model, some, sizes))
+        for i, shown in zip(open_, there, strict=True):
+            ends = high if shown else low
             ends[i] = middle[i]
     each = zip(first, shows, high, strict=True)
-    return [Detectable(c, _at(c, float(most)), there) for c, there, most in each]
+    return [Detectable(c, _at(c, float(most)), bool(there)) for c, there, most in each]
 
 
 def _squares(model: LinkModel, candidates: Sequence[Candidate], sizes: Sequence[float]) -> Array:

@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, gamma
 
 from hiltestbed.diagnosis.links import LinkRun, ModelLink, PlatformLink, Timing, WrenchLink
-from hiltestbed.diagnosis.links.base import whitening_filter
+from hiltestbed.diagnosis.links.base import Effects, whitening_filter
 from hiltestbed.diagnosis.links.wrench import NODES, WEIGHTS
 from hiltestbed.diagnosis.noise import softened
 from hiltestbed.diagnosis.nuisances import Aside
@@ -456,14 +456,29 @@ class LinkModel(Model):
         """In contact by the share of the whole force, and of the whole torque, by which it changes
         each; outside, and where it scatters, by the noise.
         """
-        if not isinstance(self.link, WrenchLink):
-            return False
         effects = self.effects(of)
-        fewer = [e for n, e in enumerate(effects) if n != index]
-        shown = self.link.predict([(i, effects) for i in self.members])
-        beside = self.link.predict([(i, fewer) for i in self.members])
+        return self.all_negligible([(effects, [e for n, e in enumerate(effects) if n != index])])[0]
+
+    def all_negligible(self, pairs: Sequence[tuple[Effects, Effects]]) -> list[bool]:
+        """Of each pair of lists of effects whether what one of them changes beyond the other is
+        negligible, in one replay.
+        """
+        if not isinstance(self.link, WrenchLink):
+            return [False] * len(pairs)
+        shown = iter(
+            self.link.predict([(i, e) for both in pairs for e in both for i in self.members])
+        )
+        out = []
+        for effects, fewer in pairs:
+            found = [[next(shown) for _ in self.members] for _ in range(2)]
+            out.append(self._negligible((effects, fewer), found))
+        return out
+
+    def _negligible(self, both: tuple[Effects, Effects], shown: Sequence[Sequence[Array]]) -> bool:
+        """The same of one pair, by its predictions of each member."""
+        (effects, fewer), (full, less) = both, shown
         changed, whole, outside = np.zeros(2), np.zeros(2), 0.0
-        for i, a, b in zip(self.members, shown, beside, strict=True):
+        for i, a, b in zip(self.members, full, less, strict=True):
             inside = self.link.runs[i].touching
             (a, spread), (b, narrow) = self._moments(i, a, effects), self._moments(i, b, fewer)
             scatter = (0.0 if spread is None else spread) - (0.0 if narrow is None else narrow)
