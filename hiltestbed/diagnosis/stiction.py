@@ -129,7 +129,7 @@ def sticking(link: PlatformLink, noise: float, substeps: int) -> Sticking:
     data = Data(link, noise)
     if not data.departs(link):
         return Sticking({})
-    shift = sum(link.timing.parameters()[name] for name in ("delay", "before", "obeyed"))
+    shift = link.timing.delay + link.timing.obeyed
     found = data.paths([Instants(m, 0.0, shift / data.tick) for m in sorted({substeps, *INSTANTS})])
     late = data.late()
     if late is None:
