@@ -413,6 +413,29 @@ def _normal(m, p, used, rows, jacobian, matrix, gradient):
 
 
 @njit(cache=True)
+def _add_priors(m, p, used, matrix, gradient):
+    """What the priors of the unknowns in use add to normal equations."""
+    for c in range(LINEAR, UNKNOWNS):
+        if used[c] and c != KNOT:
+            precision = 1.0 / prior_sd(m, c) ** 2
+            matrix[c, c] += precision
+            gradient[c] -= (p[c] - _told(m, c)) * precision
+
+
+@njit(cache=True)
+def _fix(p, used, matrix, right):
+    """Take out of normal equations what is not in use, or stands at 0, below which it means
+    nothing.
+    """
+    for c in range(UNKNOWNS):
+        if not used[c] or matrix[c, c] <= 0.0 or (c < LINEAR and p[c] <= 0.0):
+            matrix[c, :] = 0.0
+            matrix[:, c] = 0.0
+            matrix[c, c] = 1.0
+            right[c] = 0.0
+
+
+@njit(cache=True)
 def _cholesky(a):
     """Lower factor in place; False if not positive definite."""
     for c in range(a.shape[0]):
@@ -447,20 +470,12 @@ def _descend(m, p, used, work):
         if fresh:
             _jacobian(m, p, used, rows, other, jacobian)
             _normal(m, p, used, rows, jacobian, matrix, gradient)
-            for c in range(LINEAR, UNKNOWNS):
-                if used[c] and c != KNOT:
-                    precision = 1.0 / prior_sd(m, c) ** 2
-                    matrix[c, c] += precision
-                    gradient[c] -= (p[c] - _told(m, c)) * precision
+            _add_priors(m, p, used, matrix, gradient)
         copied(matrix, a)
         copied(gradient, d)
         for c in range(UNKNOWNS):
             a[c, c] *= 1.0 + damp
-            if not used[c] or matrix[c, c] <= 0.0 or (c < LINEAR and p[c] <= 0.0):
-                a[c, :] = 0.0
-                a[:, c] = 0.0
-                a[c, c] = 1.0
-                d[c] = 0.0
+        _fix(p, used, a, d)
         solve(a, d, a)
         if not np.all(np.isfinite(d)):  # not positive definite
             damp *= 10.0
@@ -647,16 +662,8 @@ def _widen(m, p, used, work):
     joint[RATE] = True
     _jacobian(m, p, joint, rows, other, jacobian)
     _normal(m, p, joint, rows, jacobian, matrix, step)
-    for c in range(UNKNOWNS):
-        if c >= LINEAR and c != KNOT and joint[c]:
-            precision = 1.0 / prior_sd(m, c) ** 2
-            matrix[c, c] += precision
-            step[c] -= (p[c] - _told(m, c)) * precision
-        if not joint[c] or matrix[c, c] <= 0.0 or (c < LINEAR and p[c] <= 0.0):
-            matrix[c, :] = 0.0
-            matrix[:, c] = 0.0
-            matrix[c, c] = 1.0
-            step[c] = 0.0
+    _add_priors(m, p, joint, matrix, step)
+    _fix(p, joint, matrix, step)
     # the derivatives do not show the instant at which the force sets in, but the interval does
     matrix[DELAY, DELAY] += CERTAIN / max(p[SPREAD], RESOLUTION) ** 2
     now, factor = np.zeros(UNKNOWNS), np.empty((UNKNOWNS, UNKNOWNS))
