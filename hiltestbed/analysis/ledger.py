@@ -109,7 +109,7 @@ def _sensor(scenario: Scenario, w: float) -> Iterator[tuple[str, float]]:
 
 def _effects(scenario: Scenario, w: float, link: str) -> Iterator[tuple[str, float]]:
     for effect in by_link(scenario.effects, link):
-        delay = effect.worth(scenario, w)
+        delay = effect.worth(scenario.tick, w)
         if delay is not None:
             yield f"effects.{effect.kind}", delay
 

@@ -296,7 +296,7 @@ def _caveat(scenario: Scenario, contact: Direction) -> str | None:
             {
                 e.kind
                 for e in by_link(scenario.effects, "sensor", "dynamics")
-                if e.worth(scenario, w) is None
+                if e.worth(scenario.tick, w) is None
             }
         )
         return f"without {', '.join(left_out)}" if left_out else None

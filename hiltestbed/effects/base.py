@@ -41,8 +41,10 @@ class Effect(Departure):
         """
         raise NotImplementedError
 
-    def worth(self, scenario: ScenarioLike, frequency: float) -> float | None:
-        """Its equivalent delay [s] in a contact of ``frequency`` [rad/s]; None: no delay."""
+    def worth(self, tick: float, frequency: float) -> float | None:
+        """Its equivalent delay [s] in a loop with a ``tick`` [s] and a contact of ``frequency``
+        [rad/s]; None: no delay.
+        """
         return None
 
     def unfit(self, scenario: ScenarioLike) -> str | None:

@@ -14,7 +14,6 @@ from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
     from hiltestbed.signals import Trace
 
 
@@ -63,15 +62,14 @@ def log_parameters(effects: Sequence[Effect]) -> LogParameters:
     return p
 
 
-def stamp_late(trace: Trace, scenarios: Sequence[Scenario]) -> None:
-    """For a record that is stamped late, put the reading of t - delay, interpolated linearly, into
-    the row of t; zero before the start.
+def stamp_late(trace: Trace, rate: float, skews: Sequence[float]) -> None:
+    """For a record of a ``rate`` [Hz] whose runs are stamped late by ``skews`` [s], put the reading
+    of t - skew, interpolated linearly, into the row of t; zero before the start.
     """
     rows = np.arange(len(trace.t))
-    for i, scenario in enumerate(scenarios):
-        skew = log_parameters(scenario.effects).skew
+    for i, skew in enumerate(skews):
         if skew > 0.0:
-            at = rows - skew * scenario.rate
+            at = rows - skew * rate
             record = trace["wrench_meas"][:, i].copy()
             for j in range(6):
                 trace["wrench_meas"][:, i, j] = np.interp(at, rows, record[:, j], left=0.0)

@@ -299,8 +299,8 @@ class DynamicsStepDelay(Effect):
     def apply(self, p: DynamicsParameters) -> None:
         p.late += self.ticks
 
-    def worth(self, scenario: Scenario, frequency: float) -> float:
-        return self.ticks * scenario.tick
+    def worth(self, tick: float, frequency: float) -> float:
+        return self.ticks * tick
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
@@ -327,8 +327,8 @@ class DynamicsIntegrator(Effect):
     def apply(self, p: DynamicsParameters) -> None:
         p.explicit = True
 
-    def worth(self, scenario: Scenario, frequency: float) -> float:
-        return scenario.tick
+    def worth(self, tick: float, frequency: float) -> float:
+        return tick
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:

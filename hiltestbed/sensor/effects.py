@@ -20,7 +20,6 @@ from hiltestbed.frames import quat_exp, rotation_matrix
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
     from hiltestbed.sensor.parameters import SensorParameters
 
 
@@ -259,7 +258,7 @@ class SensorDelay(Effect):
     def apply(self, p: SensorParameters) -> None:
         p.delay += self.delay
 
-    def worth(self, scenario: Scenario, frequency: float) -> float:
+    def worth(self, tick: float, frequency: float) -> float:
         return self.delay
 
     @classmethod
@@ -314,7 +313,7 @@ class SensorLag(Effect):
     def apply(self, p: SensorParameters) -> None:
         p.lag.append(self.time_constant)
 
-    def worth(self, scenario: Scenario, frequency: float) -> float:
+    def worth(self, tick: float, frequency: float) -> float:
         return self.time_constant
 
     @classmethod
@@ -346,7 +345,7 @@ class SensorHighpass(Effect):
     def apply(self, p: SensorParameters) -> None:
         p.leak.append(self.time_constant)
 
-    def worth(self, scenario: Scenario, frequency: float) -> float:
+    def worth(self, tick: float, frequency: float) -> float:
         # a high-pass leads: phase 1/(w T)
         return -1.0 / (frequency * frequency * self.time_constant)
 

@@ -325,7 +325,7 @@ def test_it_stands_in_a_scenario_and_comes_back_the_same(
                 name: getattr(s.effects[0], name) for name in VOCABULARY[kind]
             }
             assert s.effects[0].unfit(base) is None
-            worth = s.effects[0].worth(head_on, 15.0)
+            worth = s.effects[0].worth(head_on.tick, 15.0)
             assert worth is None or abs(worth) < 1.0, "the delay that it is worth is a time or none"
 
 

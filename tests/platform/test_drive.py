@@ -224,11 +224,11 @@ def test_what_it_is_worth_is_the_lateness_of_a_slow_motion() -> None:
     """2 zeta/w; with an integral part that of its phase, which is behind a slow swing by less."""
     s, w = scenario("ideal"), 2.0 * math.pi * 10.0
     effect = PlatformDrive(bandwidth=10.0, damping_ratio=0.5)
-    assert effect.worth(s, 1.0) == pytest.approx(1.0 / w)
+    assert effect.worth(s.tick, 1.0) == pytest.approx(1.0 / w)
     t = np.arange(4000) * 5e-3
     u = np.sin(3.0 * t)
     slow = PlatformDrive(bandwidth=10.0, damping_ratio=0.5, integral_time=0.5)
-    late = slow.worth(s, 3.0)
+    late = slow.worth(s.tick, 3.0)
     assert late is not None
     x = reached(u, numbers(w, 0.5, ti=0.5), dt=5e-3)[2000:]
     a, b = np.linalg.lstsq(

@@ -114,7 +114,7 @@ class PlatformDrive(Effect):
             "bandwidth or damping"
         )
 
-    def worth(self, scenario: Scenario, frequency: float) -> float:
+    def worth(self, tick: float, frequency: float) -> float:
         """Delay of the linear part: that of friction and force limit depends on the amplitude."""
         w, s = 2.0 * math.pi * self.bandwidth, 1j * frequency
         if self.integral_time is None:

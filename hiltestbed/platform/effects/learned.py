@@ -17,7 +17,6 @@ from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
     from hiltestbed.platform.parameters import PlatformParameters
-    from hiltestbed.scenario import Scenario
 
 
 def _after_the_step(pairs: Pairs) -> Pairs:
@@ -53,7 +52,7 @@ class LearnedResponse(Effect):
     def apply(self, p: PlatformParameters) -> None:
         p.step = packed(self.step)
 
-    def worth(self, scenario: Scenario, frequency: float) -> float:
+    def worth(self, tick: float, frequency: float) -> float:
         return mean_lateness(packed(self.step))
 
     @classmethod

@@ -13,7 +13,6 @@ from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
     from hiltestbed.platform.parameters import PlatformParameters
-    from hiltestbed.scenario import Scenario
 
 Grid = dict[str, list[float]]
 Bounds = dict[str, tuple[float, float]]
@@ -120,7 +119,7 @@ class PlatformDelay(Effect):
     def apply(self, p: PlatformParameters) -> None:
         p.delay += self.delay
 
-    def worth(self, scenario: Scenario, frequency: float) -> float:
+    def worth(self, tick: float, frequency: float) -> float:
         return self.delay
 
     @classmethod
@@ -151,7 +150,7 @@ class PlatformLag(SecondOrder):
     def apply(self, p: PlatformParameters) -> None:
         p.lag.append(self.respond(p, self.bandwidth, LAG_DAMPING, 0.0))
 
-    def worth(self, scenario: Scenario, frequency: float) -> float:
+    def worth(self, tick: float, frequency: float) -> float:
         return 2.0 * LAG_DAMPING / (2.0 * math.pi * self.bandwidth)
 
     @classmethod
