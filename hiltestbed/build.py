@@ -1,18 +1,33 @@
-"""From a scenario, which is numbers and names, to one that can run: the faults that need a model
-are found, and the rate of the physics steps is determined.
+"""From a scenario, which is numbers and names, to what runs.
+
+The faults that need a model are found, and the rate of the physics steps is determined. The blocks
+of the loop are made, in the order of the signal flow, each from the parameters that it takes of
+the scenarios; those whose method is chosen in the scenario are made by the method itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from hiltestbed.analysis.metrics import Tally
+from hiltestbed.analysis.outcome import Outcomes
+from hiltestbed.compensation.input import InputDeadZone, InputParameters
+from hiltestbed.compensation.motion import MotionCommand
+from hiltestbed.compensation.settings import MOTION_METHODS
 from hiltestbed.config.validation import Problem
 from hiltestbed.config.yaml_source import Source, dotted
 from hiltestbed.contact.findings import faults
 from hiltestbed.errors import InputError
+from hiltestbed.identification.samples import SampleParameters
 from hiltestbed.platform.build import problems as facility_problems
 from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.sensor.parameters import SensorParameters
+from hiltestbed.sensor.sensor import Sensors
+from hiltestbed.supervision.monitoring import ProcessMonitor
+from hiltestbed.supervision.safety import Safety
 
 
 def runnable_from(
@@ -43,3 +58,44 @@ def _problems(scenario: Scenario) -> Iterator[Problem]:
     if platform.start_needs_model:
         yield from facility_problems(scenario)
     yield from ((("mechanism",), message) for message in faults(scenario))
+
+
+def sensors(scenarios: Sequence[Scenario]) -> Sensors:
+    """The sensors of runs of the same rates."""
+    parameters = [SensorParameters.believed(s.sensor).with_effects(s.effects) for s in scenarios]
+    generators = [np.random.default_rng(s.seed) for s in scenarios]
+    return Sensors(parameters, scenarios[0].tick, scenarios[0].substeps, generators)
+
+
+def monitor(scenarios: Sequence[Scenario]) -> ProcessMonitor:
+    """The process monitor of runs of the same mechanism and platform."""
+    return ProcessMonitor(SampleParameters.of(scenarios), [s.monitoring for s in scenarios])
+
+
+def dead_zone(scenarios: Sequence[Scenario]) -> InputDeadZone:
+    """What the compensation does not see of the readings."""
+    return InputDeadZone([InputParameters.of(s.effects) for s in scenarios])
+
+
+def motion_command(scenarios: Sequence[Scenario]) -> MotionCommand:
+    """The command of the platform in runs of the same motion compensation."""
+    first, motions = scenarios[0], [s.compensation.motion for s in scenarios]
+    method = MOTION_METHODS[motions[0].kind].start(scenarios)
+    return MotionCommand(first.rate, np.array([float(m.feeds) for m in motions]), method)
+
+
+def safety(scenarios: Sequence[Scenario]) -> Safety:
+    """The safety limits of runs on the same platform."""
+    first, limits = scenarios[0], [s.safety for s in scenarios]
+    return Safety(limits, first.tick, first.rig.platform.states_limits)
+
+
+def tally(scenarios: Sequence[Scenario]) -> Tally:
+    """The running figures of each run."""
+    forces = [s.compensation.force for s in scenarios]
+    return Tally(scenarios[0].rate, [s.sensor for s in scenarios], forces)
+
+
+def outcomes(scenarios: Sequence[Scenario]) -> Outcomes:
+    """The contacts of each run."""
+    return Outcomes(scenarios[0].tick, [s.mechanism for s in scenarios])

@@ -14,13 +14,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.analysis.metrics import Tally, take_figures
-from hiltestbed.analysis.outcome import Outcomes, take_contacts
+from hiltestbed import build
+from hiltestbed.analysis.metrics import take_figures
+from hiltestbed.analysis.outcome import take_contacts
 from hiltestbed.compensation.blocks import make_drive
-from hiltestbed.compensation.input import InputDeadZone
 from hiltestbed.compensation.interfaces import Drive
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.motion import MotionCommand
 from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.phases import Phases
@@ -28,10 +27,7 @@ from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.platform.plant import FreeMotion, Plant
 from hiltestbed.scenario import Scenario
-from hiltestbed.sensor.sensor import Sensors
 from hiltestbed.signals import Trace
-from hiltestbed.supervision.monitoring import ProcessMonitor
-from hiltestbed.supervision.safety import Safety
 
 # [m] a larger commanded position counts as divergence: forty times the platform's reach
 POSE_LIMIT = 10.0
@@ -84,8 +80,8 @@ MakeSide = Callable[[Sequence[Scenario], int], Side]
 
 def simulated(scenarios: Sequence[Scenario], nthread: int) -> Side:
     """The simulated physical side."""
-    sensor = Sensors(scenarios, [np.random.default_rng(s.seed) for s in scenarios])
-    return sensor, Plant(scenarios, nthread, late=sensor.late), Safety(scenarios)
+    sensor = build.sensors(scenarios)
+    return sensor, Plant(scenarios, nthread, late=sensor.late), build.safety(scenarios)
 
 
 class Loop:
@@ -114,17 +110,17 @@ class Loop:
             self.identification.source.captured = self.plant.captured
             if self.plant.phases is not None:
                 self.identification.source.steps = self.plant.phases.begun
-        self.monitor = ProcessMonitor(scenarios) if any(s.monitoring for s in scenarios) else None
-        self.dead_zone = InputDeadZone(scenarios)
+        self.monitor = build.monitor(scenarios) if any(s.monitoring for s in scenarios) else None
+        self.dead_zone = build.dead_zone(scenarios)
         self.model = scenarios[0].numerical_model.start(scenarios)
         self.drive: Drive = (
             FreeMotion(scenarios, self.plant)
             if self.plant.physical
             else make_drive(scenarios, self.model)
         )
-        self.motion = MotionCommand(scenarios)
-        self.tally = Tally(scenarios)
-        self.outcomes = Outcomes(scenarios)
+        self.motion = build.motion_command(scenarios)
+        self.tally = build.tally(scenarios)
+        self.outcomes = build.outcomes(scenarios)
         self.k = 0
         self.alive = np.ones(n, dtype=bool)
         self.trouble: dict[int, tuple[int, str, str]] = {}

@@ -7,6 +7,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
+from hiltestbed import build
 from hiltestbed.analysis.assessment import monitored
 from hiltestbed.bench.contacts import BenchContact, bounce
 from hiltestbed.loop import Loop
@@ -20,7 +21,7 @@ FORCE = {"kind": "resynchronised"}
 
 
 def _watch(scenarios: list[Scenario]) -> tuple[ProcessMonitor, Loop]:
-    loop, monitor = Loop(scenarios), ProcessMonitor(scenarios)
+    loop, monitor = Loop(scenarios), build.monitor(scenarios)
     for _ in range(max(s.ticks for s in scenarios)):
         loop.step()
         monitor.update(loop.measurement.wrench, loop.measurement.pose, loop.measurement.twist)

@@ -16,6 +16,7 @@ import numpy as np
 import hiltestbed
 from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.diagnosis.report.pictures import residuals_over_time
+from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.report.curves import PALETTE
 from hiltestbed.report.page import new_figure
 
@@ -54,9 +55,8 @@ def delay() -> None:
             linewidth=1.4,
             label=label,
         )
-        energy.plot(
-            trace.t, 1e3 * energy_generated(trace, run.scenario), color=color, linewidth=1.4
-        )
+        made = energy_generated(trace, approach_state(run.scenario), run.scenario.tick)
+        energy.plot(trace.t, 1e3 * made, color=color, linewidth=1.4)
     loop.set(xlabel="penetration [mm]", ylabel="force that the numerical model feels [N]")
     loop.legend(fontsize=8, frameon=False)
     energy.set(xlabel="time [s]", ylabel="energy made by the rig [mJ]")

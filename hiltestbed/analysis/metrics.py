@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.compensation.settings import ForceMethod
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, twist_between
-from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.scenario import Scenario
+from hiltestbed.sensor.settings import Sensor
 from hiltestbed.signals import RunTrace
 
 # of the low-pass, after which the rebound speed is taken: exp(-5) = 0.7 % of the last force remains
@@ -105,13 +105,16 @@ class Tally:
         sums: for :func:`take_figures`.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        n, first = len(scenarios), scenarios[0]
-        waits = [0.0 if s.compensation.force.adds_force else LONGEST_WAIT for s in scenarios]
+    def __init__(
+        self, rate: float, sensors: Sequence[Sensor], forces: Sequence[ForceMethod]
+    ) -> None:
+        """``rate``: [Hz]. sensors, forces: nominal sensor and compensation of each run."""
+        n, pairs = len(sensors), zip(sensors, forces, strict=True)
+        settle = [settle_ticks(sensor, force, rate) for sensor, force in pairs]
         sums = Sums(
-            tick=1.0 / first.rate,
-            settle=np.array([settle_ticks(s) for s in scenarios], dtype=np.int64),
-            wait=np.array(waits),
+            tick=1.0 / rate,
+            settle=np.array(settle, dtype=np.int64),
+            wait=np.array([0.0 if f.adds_force else LONGEST_WAIT for f in forces]),
             energy=np.zeros(n),
             peak_force=np.zeros(n),
             peak_error=np.zeros(n),
@@ -218,19 +221,18 @@ def energy_made(impulse: Array, before: Array, after: Array, push: float) -> flo
     return made if made > resolved else 0.0
 
 
-def settle_ticks(scenario: Scenario) -> int:
-    """Ticks from the separation of the ports until the end of the force has reached the numerical
-    model.
+def settle_ticks(sensor: Sensor, force: ForceMethod, rate: float) -> int:
+    """Ticks at a ``rate`` [Hz] from the separation of the ports until the end of the force has
+    reached the numerical model.
 
     While a compensation still acts after that (:data:`STILL_ACTING`), the rebound speed is taken
     again.
     """
-    sensor, force = scenario.sensor, scenario.compensation.force
     lowpass = (
         0.0 if sensor.lowpass is None else SETTLE_TIME_CONSTANTS / (2.0 * math.pi * sensor.lowpass)
     )
     lag = SETTLE_TIME_CONSTANTS * force.memory()
-    return SETTLE_TICKS + math.ceil((sensor.delay + lowpass + lag) * scenario.rate)
+    return SETTLE_TICKS + math.ceil((sensor.delay + lowpass + lag) * rate)
 
 
 def tracking_fit(sums: Array) -> tuple[float | None, float | None]:
@@ -247,21 +249,23 @@ def tracking_fit(sums: Array) -> tuple[float | None, float | None]:
     return float((ff * ev - vf * ef) / det), float((vv * ef - vf * ev) / det)
 
 
-def energy_generated(trace: RunTrace, scenario: Scenario) -> Array:
+def energy_generated(trace: RunTrace, start: Array, tick: float) -> Array:
     """``(ticks,)`` [J] made by the rig so far: the integral of F v_act - F_used v_cmd, as
     :class:`Tally` adds it up.
+
+    Args:
+        start: ``(13,)`` pose and twist of A in P before the first tick. tick: [s].
     """
-    tick = 1.0 / scenario.rate
     slope = np.zeros_like(trace["twist_act"])
     _slopes(trace["pose_act"], tick, slope)
     # for t_k, when the wrench is used
-    commanded = np.concatenate([approach_state(scenario)[None, :7], trace["pose_cmd"][:-1]])
+    commanded = np.concatenate([start[None, :7], trace["pose_cmd"][:-1]])
     force, used = (
         _about_A(trace["wrench_true"], trace["pose_act"]),
         _about_A(trace["wrench_comp"], commanded),
     )
     rate = trace["twist_cmd"]
-    before = np.concatenate([approach_state(scenario)[None, 7:], rate[:-1]])
+    before = np.concatenate([start[None, 7:], rate[:-1]])
     taken = np.zeros(len(trace.t))
     taken[1:] = np.einsum("ij,ij->i", force[1:] + force[:-1], slope[1:])
     return 0.5 * tick * np.cumsum(taken - np.einsum("ij,ij->i", used, rate + before))

@@ -19,7 +19,6 @@ from hiltestbed.contact.phases import Phases
 from hiltestbed.contact.settings import Mechanism
 from hiltestbed.frames import Array
 from hiltestbed.platform.plant import Plant
-from hiltestbed.scenario import Scenario
 
 LISTED = 64  # contacts whose start, end, impulse and peak are kept; all contacts are counted
 START, END, FX, FY, FZ, PEAK, COLUMNS = 0, 1, 2, 3, 4, 5, 6
@@ -41,16 +40,15 @@ class Outcomes:
             capture, and from then on, see :data:`hiltestbed.analysis.limits.LOADS`.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        n, first = len(scenarios), scenarios[0]
-        self.tick = 1.0 / first.rate
+    def __init__(self, tick: float, mechanisms: Sequence[Mechanism]) -> None:
+        n, self.tick = len(mechanisms), tick
         self.events = np.zeros((n, LISTED, COLUMNS))
         self.count = np.zeros(n, dtype=np.int64)
         self.captured_tick = np.full(n, -1, dtype=np.int64)
         self.touching = np.zeros(n, dtype=bool)
         self.first = np.full((n, 13), np.nan)
         self.loads, self.begun = np.zeros((n, 2, len(LOADS))), np.zeros(n, dtype=np.int64)
-        self._hard = np.array([hard_from(s.mechanism) for s in scenarios], dtype=np.int64)
+        self._hard = np.array([hard_from(m) for m in mechanisms], dtype=np.int64)
 
     def given(self, phases: Phases | None) -> tuple[Any, ...]:
         """The last arguments of :func:`take_contacts`; ``phases`` of capture, if there are any."""

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.build import runnable_from
-from hiltestbed.compensation.motion import MotionCommand
+from hiltestbed.build import motion_command, runnable_from
 from hiltestbed.frames import Array, rotation_vectors
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario, resolved
@@ -228,7 +227,7 @@ def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
     put(wave(np.zeros(1), 0)[0], wave(np.zeros(1), 1)[0], 0.0)
     accel[:] = 0.0
     plant.reset(pose, twist)
-    changed = MotionCommand([scenario] * runs) if scenario.compensation.motion.open_loop else None
+    changed = motion_command([scenario] * runs) if scenario.compensation.motion.open_loop else None
     if changed:
         changed.start(twist)
     nothing: Any = None  # such a method reads no measurement

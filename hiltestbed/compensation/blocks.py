@@ -81,4 +81,5 @@ def make_drive(scenarios: Sequence[Scenario], model: NumericalModel) -> Drive:
     if isinstance(method, Drive):
         return method
     corrects = MOTION_METHODS[compensation.motion.kind].corrects_force
-    return ForceDrive(model, method, Gate(scenarios) if corrects else None)
+    gate = Gate([s.sensor.noise for s in scenarios]) if corrects else None
+    return ForceDrive(model, method, gate)

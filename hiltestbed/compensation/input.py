@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -14,9 +14,6 @@ from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.frames import Array
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
 
 COMPONENTS, MAGNITUDE, AFTER = 0, 1, 2
 PLACES = {"before": COMPONENTS, "magnitude": MAGNITUDE, "after": AFTER}
@@ -49,17 +46,11 @@ class InputDeadZone:
             zone.
     """
 
-    def __init__(
-        self, scenarios: Sequence[Scenario], parameters: Sequence[InputParameters] | None = None
-    ) -> None:
-        """``parameters``: of each run, by default those of its effects."""
-        found = (
-            [InputParameters.of(s.effects) for s in scenarios] if parameters is None else parameters
-        )
-        self._width = np.array([p.width for p in found])
-        self._where = np.array([PLACES[p.where] for p in found])
+    def __init__(self, parameters: Sequence[InputParameters]) -> None:
+        self._width = np.array([p.width for p in parameters])
+        self._where = np.array([PLACES[p.where] for p in parameters])
         self.active = bool(self._width.any())
-        self.wrench = np.zeros((len(found), 6))
+        self.wrench = np.zeros((len(parameters), 6))
 
     def update(self, reading: Array) -> Array:
         """Apply the dead zone to a reading ``(n, 6)``: a force below the width is zero; torques

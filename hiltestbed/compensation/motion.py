@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from hiltestbed.compensation.interfaces import PoseBlock
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.settings import MOTION_METHODS
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
 
 
 class MotionCommand:
@@ -30,11 +24,12 @@ class MotionCommand:
         acceleration: ``(n, 6)`` rate of change of the velocity reference.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        n = len(scenarios)
-        self._rate = scenarios[0].rate
-        self._feed = np.array([float(s.compensation.motion.feeds) for s in scenarios])
-        self._method = MOTION_METHODS[scenarios[0].compensation.motion.kind].start(scenarios)
+    def __init__(self, rate: float, feed: Array, method: PoseBlock | None) -> None:
+        """``rate``: [Hz]. feed: (n,) 1 where velocity and acceleration are fed forward, else 0.
+        method: changes the pose; None: it is commanded as it is.
+        """
+        n = len(feed)
+        self._rate, self._feed, self._method = rate, feed, method
         self.pose = np.zeros((n, 7))
         self.twist = np.zeros((n, 6))
         self.acceleration = np.zeros((n, 6))

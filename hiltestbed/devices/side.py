@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hiltestbed.build import monitor
 from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.contact.phases import Phases
 from hiltestbed.devices.interface import PlatformClient, SensorClient
@@ -28,7 +29,6 @@ from hiltestbed.devices.watchdog import Watchdog
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, rotation_vector, twist_between
 from hiltestbed.scenario import Scenario
-from hiltestbed.supervision.monitoring import ProcessMonitor
 from hiltestbed.supervision.safety import LIMITS
 
 GATE_SIGMA = 5.0  # a force above this many standard deviations of its noise counts as contact
@@ -179,7 +179,7 @@ class DeviceRig:
         ]
         self._seen = [-1, -1]
         self.log = CycleLog(ticks)
-        self.monitor = ProcessMonitor([scenario])
+        self.monitor = monitor([scenario])
         self.stop: str | None = None
         self.armed = False
         self.missed = self._behind = 0

@@ -142,7 +142,8 @@ def figures(motion: RunSignals | None, scenario: Scenario) -> Figures:
     peak = None
     if motion.force is not None:
         start, end, _ = motion.span
-        reading = np.abs(motion.force[start : end + settle_ticks(scenario)])
+        settle = settle_ticks(scenario.sensor, scenario.compensation.force, scenario.rate)
+        reading = np.abs(motion.force[start : end + settle])
         peak = float(np.nanmax(reading)) if np.isfinite(reading).any() else None
     cor = restitution(motion, scenario) if not scenario.mechanism.captured else None
     return Figures(cor, peak)
@@ -167,7 +168,8 @@ def bounce_of(motion: RunSignals, scenario: Scenario) -> FirstRebound | None:
     if z is None or motion.span is None:
         return None
     start, end, until = motion.span
-    window, settle = round(SPEED_WINDOW * scenario.rate), settle_ticks(scenario)
+    window = round(SPEED_WINDOW * scenario.rate)
+    settle = settle_ticks(scenario.sensor, scenario.compensation.force, scenario.rate)
     first = min(end + settle + round(QUIET_TIME * scenario.rate), max(end + settle, until - window))
     before = (max(0, start - 1 - window), start - 1)
     after = (first, min(until, len(z), first + window))

@@ -29,7 +29,7 @@ from hiltestbed.contact.geometry import ACTIVE, PASSIVE
 from hiltestbed.frames import Array, quat_mul_conj, rotate, rotate_back, rotation_vector
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.contact.settings import Mechanism
 
 # reference point of a latch: A itself, a site of the active side, or one of the passive side
 AT_A, ON_ACTIVE, ON_PASSIVE = 0, 1, 2
@@ -66,13 +66,14 @@ class HeldPlace:
         latches, now: for :func:`update_held`.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+    def __init__(self, mechanisms: Sequence[Mechanism]) -> None:
+        """``mechanisms``: of each run; all have the same sites and phases."""
         from hiltestbed.contact.sides import sides_of  # not MuJoCo with the settings
 
-        n, mechanism = len(scenarios), scenarios[0].mechanism
-        sites = sides_of(mechanism).sites
+        n = len(mechanisms)
+        sites = sides_of(mechanisms[0]).sites
         closing, acts, places, kinds, together = NONE, [], [], [], []
-        for phase in mechanism.phases():
+        for phase in mechanisms[0].phases():
             if phase.close is not None:
                 closing += 1
                 (a, at_a) = sites["A", phase.close.active]
@@ -92,7 +93,7 @@ class HeldPlace:
         self.reference = np.tile(UNTURNED, (n, 1))
         self.since, self.changes = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
         self.now = _Now(
-            np.array([s.mechanism.captured for s in scenarios]),
+            np.array([m.captured for m in mechanisms]),
             np.zeros(n, dtype=np.int64),
             self.lever,
             self.origin,

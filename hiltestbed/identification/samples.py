@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,9 @@ from hiltestbed.identification.held import HeldPlace, add_moment, referred, upda
 from hiltestbed.sensor.chain import FILTERED, filtered, filters_of, high_pass, low_pass
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.contact.settings import Mechanism
+    from hiltestbed.scenario.like import ScenarioLike
+    from hiltestbed.sensor.settings import Sensor
 
 # a sample is in contact if the force exceeds this many standard deviations of its noise
 GATE_SIGMA = 5.0
@@ -51,6 +53,26 @@ FILTER_MEMORY = 3.0
 # [N, N m] 1 sigma of a force that has passed a lead, or is paired with a pose of another time
 UNKNOWN = 1e15
 SPARE = 0.03  # [s] by which an estimated delay may exceed the nominal one
+
+
+class SampleParameters(NamedTuple):
+    """What the samples of ``n`` runs depend on.
+
+    Attributes:
+        rate: of the loop [Hz]. sensors: nominal ones. mechanisms: of the same structure.
+        held_rate: whether the rig's velocity is constant over a tick.
+    """
+
+    rate: float
+    sensors: Sequence[Sensor]
+    mechanisms: Sequence[Mechanism]
+    held_rate: bool
+
+    @classmethod
+    def of(cls, scenarios: Sequence[ScenarioLike]) -> Self:
+        """Those of ``scenarios``."""
+        sensors, mechanisms = [s.sensor for s in scenarios], [s.mechanism for s in scenarios]
+        return cls(scenarios[0].rate, sensors, mechanisms, scenarios[0].rig.platform.prescribed)
 
 
 class _Given(NamedTuple):
@@ -114,7 +136,7 @@ class ContactSamples:
 
     def __init__(
         self,
-        scenarios: Sequence[Scenario],
+        parameters: SampleParameters,
         aligned: bool = True,
         estimate: bool = False,
         lead: Sequence[float] = (),
@@ -129,32 +151,32 @@ class ContactSamples:
         """
         from hiltestbed.contact.sides import sides_of  # not MuJoCo with the settings
 
-        n, first = len(scenarios), scenarios[0]
-        h = 1.0 / first.rate
-        self.tick = h
-        self.delay = np.array([s.sensor.delay if aligned else 0.0 for s in scenarios])
-        self.threshold = np.array([GATE_SIGMA * s.sensor.noise for s in scenarios])
+        rate, sensors, mechanisms, held_rate = parameters
+        n, first = len(sensors), mechanisms[0]
+        self.tick = h = 1.0 / rate
+        self.delay = np.array([s.delay if aligned else 0.0 for s in sensors])
+        self.threshold = np.array([GATE_SIGMA * s.noise for s in sensors])
         known = aligned and not lead
         self.noise = np.array(
-            [[s.sensor.noise, s.sensor.torque_noise] if known else [UNKNOWN] * 2 for s in scenarios]
+            [[s.noise, s.torque_noise] if known else [UNKNOWN] * 2 for s in sensors]
         )
-        lowpass, highpass = filters_of(scenarios) if aligned else (np.zeros(n), np.full(n, np.inf))
+        lowpass, highpass = filters_of(sensors) if aligned else (np.zeros(n), np.full(n, np.inf))
         spent = FILTER_MEMORY * lowpass
         # the led force is that at t_k; whether the contact still lasts is known only a delay later
         if lead:
-            spent = np.array([s.sensor.delay for s in scenarios]) + FILTER_MEMORY * np.array(lead)
+            spent = np.array([s.delay for s in sensors]) + FILTER_MEMORY * np.array(lead)
         margin = 1 + np.ceil(spent / h - 1e-9).astype(np.int64)
         longest = float(self.delay.max() + SPARE * estimate)
         length = 2 + int(math.ceil(longest / h))
-        sides = sides_of(first.mechanism)
+        sides = sides_of(first)
         given = _Given(
             h,
             self.threshold,
             low_pass(lowpass, h),
             high_pass(highpass, h),
             margin,
-            np.array([s.mechanism.flat or s.mechanism.captured for s in scenarios]),
-            first.rig.platform.prescribed,
+            np.array([m.flat or m.captured for m in mechanisms]),
+            held_rate,
             # the pose does not show moving parts of a side
             sides.rigid and len(sides.facets) > 0,
         )
@@ -171,8 +193,8 @@ class ContactSamples:
             np.zeros(n),
             np.zeros(n, dtype=np.int64),
         )
-        self.held = held = HeldPlace(scenarios)
-        self.captures = first.mechanism.captures
+        self.held = held = HeldPlace(mechanisms)
+        self.captures = first.captures
         self.captured, self.steps = np.zeros(n, dtype=bool), np.zeros(n, dtype=np.int64)
         # force and speed at the first contact sample, delay as found then
         self._onset = np.full((n, 3), np.nan)

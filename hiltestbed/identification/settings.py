@@ -5,7 +5,7 @@ one class per method.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from hiltestbed.frames import Array
 from hiltestbed.plugins import OneOf, Registry, placeholder
 
 if TYPE_CHECKING:
+    from hiltestbed.identification.samples import SampleParameters
     from hiltestbed.scenario.like import ScenarioLike
 
 
@@ -84,3 +85,18 @@ def identifier_of(scenarios: Sequence[ScenarioLike], method: type[Own]) -> list[
     if other is not None:
         raise TypeError(f"settings of {method.__name__} expected (got {type(other).__name__})")
     return sections  # type: ignore[return-value]
+
+
+class ContactIdentifier(Identifier):
+    """Base of the estimators that are made of their settings and of contact samples alone."""
+
+    @classmethod
+    def start(cls, scenarios: Sequence[ScenarioLike]) -> Identification:
+        from hiltestbed.identification.samples import SampleParameters
+
+        return cls.estimator(identifier_of(scenarios, cls), SampleParameters.of(scenarios))
+
+    @classmethod
+    def estimator(cls, own: Sequence[Self], parameters: SampleParameters) -> Identification:
+        """The estimator for ``n`` runs with the settings ``own``."""
+        raise NotImplementedError

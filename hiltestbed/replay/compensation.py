@@ -97,7 +97,7 @@ def replay_compensation(
     pose, twist = _reached(scenarios, records, run, rows)
     model = _model(scenarios, records, run)
     drive = make_drive(scenarios, model)
-    dead_zone = InputDeadZone(scenarios, inputs)
+    dead_zone = InputDeadZone(inputs)
     estimate = (
         IDENTIFIERS[scenarios[0].identification.kind].start(scenarios)
         if "identified" in _reads(scenarios[0])

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiltestbed.build import motion_command
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.motion import MotionCommand
 from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.numerical_model.bodies import approach_state
@@ -106,7 +106,7 @@ def replay_rig(
     start = approach_state(scenario)
     plant = Plant([scenario], force=RecordedForce(wrench, scenario.substeps, between), held=True)
     plant.reset(start[None, :7], start[None, 7:])
-    motion = MotionCommand([scenario])
+    motion = motion_command([scenario])
     motion.start(start[None, 7:])
     estimate = (
         IDENTIFIERS[scenario.identification.kind].start([scenario])

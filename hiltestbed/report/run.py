@@ -21,6 +21,7 @@ from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.identification.samples import GATE_SIGMA
+from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.report.curves import PALETTE, POINTS, shade_contacts
 from hiltestbed.report.page import Report, new_figure, provenance
 from hiltestbed.report.table import against
@@ -226,7 +227,7 @@ def _span(trace: RunTrace) -> tuple[float, float]:
 
 def _energy(trace: RunTrace, scenario: Scenario, summary: dict[str, Any]):
     """Energy that the rig made so far: work on the contact minus work of the numerical model."""
-    made = energy_generated(trace, scenario)
+    made = energy_generated(trace, approach_state(scenario), scenario.tick)
     rows = _shown(trace)
     figure, axis = new_figure(9.0, 2.6)
     shade_contacts(axis, trace.t, trace.contact)

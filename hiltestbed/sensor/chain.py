@@ -30,12 +30,11 @@ from hiltestbed.config.piecewise import along
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
+    from hiltestbed.sensor.settings import Sensor
 
 
-def filters_of(scenarios: Sequence[Scenario]) -> tuple[Array, Array]:
+def filters_of(sensors: Sequence[Sensor]) -> tuple[Array, Array]:
     """(n,) nominal time constants [s] of low-pass, 0: none, and high-pass, infinite: none."""
-    sensors = [s.sensor for s in scenarios]
     low = [0.0 if s.lowpass is None else 1.0 / (2.0 * math.pi * s.lowpass) for s in sensors]
     high = [math.inf if s.time_constant is None else s.time_constant for s in sensors]
     return np.array(low), np.array(high)

@@ -7,7 +7,6 @@ Units and frames are the caller's: the sensor treats each of the six columns ali
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,21 +18,12 @@ from hiltestbed.effects import EFFECTS, Effect
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.scenario import load_scenario, resolved
+from hiltestbed.sensor.parameters import SensorParameters
 from hiltestbed.sensor.sensor import Sensors
 from hiltestbed.sensor.settings import Sensor as Settings
 
 # samples of a segment of the spectrum of noise, at most: 1 s of a sensor at 2 kHz
 SEGMENT = 2048
-
-
-@dataclass(frozen=True)
-class _Described:
-    """What the sensor takes of a scenario."""
-
-    rate: float
-    physics_rate: float
-    sensor: Settings
-    effects: tuple[Effect, ...]
 
 
 class ForceSensor:
@@ -72,11 +62,10 @@ class ForceSensor:
             )
         self.rate, self.substeps, self._seed = float(rate), int(substeps), seed
         try:
-            described = Settings.model_validate(dict(settings or {}))
-            found = tuple(_effect(dict(effect)) for effect in effects)
+            nominal = SensorParameters.believed(Settings.model_validate(dict(settings or {})))
+            self._parameters = nominal.with_effects(_effect(dict(effect)) for effect in effects)
         except ValidationError as error:
             raise InputError(_sentence(error)) from None
-        self._described = _Described(self.rate, self.rate * self.substeps, described, found)
         self.reset()
 
     @classmethod
@@ -96,7 +85,7 @@ class ForceSensor:
     def reset(self) -> None:
         """Begin anew: no force before the start, filters at rest, the same noise again."""
         generators = [np.random.default_rng(self._seed)]
-        self._sensor = Sensors([self._described], generators)  # type: ignore[list-item]
+        self._sensor = Sensors([self._parameters], 1.0 / self.rate, self.substeps, generators)
         self._wrench = np.zeros((1, self.substeps, 6))
         self.samples = 0
 

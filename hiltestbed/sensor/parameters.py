@@ -33,7 +33,8 @@ class SensorParameters:
         lag, leak: time constant [s] of each low-pass and of each high-pass.
         offset: (6,) [N, N m]. drift: (6,) [N/s, N m/s]. tone: amplitude on x, y, z [N], frequency
             [Hz], phase [rad] of each.
-        deadzone, limit: (6,) [N, N m]. step: (6,) quantisation step, 0 for none.
+        deadzone, limit: (6,) [N, N m]. step: (6,) quantisation step, 0 for none. noise: (6,)
+            standard deviation [N, N m].
     """
 
     delay: float = 0.0
@@ -50,6 +51,7 @@ class SensorParameters:
     deadzone: Array = field(default_factory=lambda: np.zeros(6))
     limit: Array = field(default_factory=lambda: np.full(6, np.inf))
     step: Array = field(default_factory=lambda: np.zeros(6))
+    noise: Array = field(default_factory=lambda: np.zeros(6))
 
     @property
     def calibration(self) -> Array:
@@ -68,6 +70,7 @@ class SensorParameters:
         p.limit[:3] = np.inf if settings.range is None else settings.range
         p.limit[3:] = np.inf if settings.torque_range is None else settings.torque_range
         p.step[:3], p.step[3:] = settings.quantisation, settings.torque_quantisation
+        p.noise[:3], p.noise[3:] = settings.noise, settings.torque_noise
         return p
 
     def copy(self) -> SensorParameters:
@@ -118,7 +121,7 @@ class Chain:
         delay, jitter: (n,). calibration: (n, 6, 6). curve: (n, 6, 1 + 2K) packed. lag, leak: (n,
             S, 2) weights of the filters per step, see :mod:`hiltestbed.sensor.chain`.
         offset, drift: (n, 6). tone: (n, H, 5).
-        deadzone, limit, step: (n, 6).
+        deadzone, limit, step, noise: (n, 6).
     """
 
     delay: Array
@@ -133,6 +136,7 @@ class Chain:
     deadzone: Array
     limit: Array
     step: Array
+    noise: Array
 
     def elements(self) -> Elements:
         """Those after the delay."""
@@ -165,4 +169,5 @@ def stack(sensors: Sequence[SensorParameters], step: float) -> Chain:
         deadzone=rows("deadzone"),
         limit=rows("limit"),
         step=rows("step"),
+        noise=rows("noise"),
     )

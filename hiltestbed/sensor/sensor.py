@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,9 +20,6 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 from hiltestbed.sensor.chain import MEMORY, condition, filters
 from hiltestbed.sensor.parameters import SensorParameters, stack
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
 
 BLOCK = 256  # ticks of noise drawn at a time
 # physics steps within which a delay counts as whole: 5 ms is 20 steps of 0.25 ms, however the
@@ -52,21 +49,22 @@ class Sensors:
             then does not need the wrench at t_k.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], rngs: Sequence[np.random.Generator]) -> None:
-        """``rngs``: one per run, so that random numbers do not depend on the batch."""
-        n = len(scenarios)
-        self.tick = 1.0 / scenarios[0].rate
-        self.substeps = round(scenarios[0].physics_rate / scenarios[0].rate)
-        physics_step = self.tick / self.substeps
-        self.numbers = stack(
-            [SensorParameters.believed(s.sensor).with_effects(s.effects) for s in scenarios],
-            physics_step,
-        )
+    def __init__(
+        self,
+        parameters: Sequence[SensorParameters],
+        tick: float,
+        substeps: int,
+        rngs: Sequence[np.random.Generator],
+    ) -> None:
+        """Sensors with ``parameters``, read every ``tick`` [s] of so many ``substeps`` of the
+        physics; ``rngs``: one per run, so that random numbers do not depend on the batch.
+        """
+        n = len(parameters)
+        self.tick, self.substeps = tick, substeps
+        physics_step = tick / substeps
+        self.numbers = stack(parameters, physics_step)
         stages = max(self.numbers.lag.shape[1], self.numbers.leak.shape[1])
         memory, self.reading = np.zeros((n, stages, MEMORY, 6)), np.zeros((n, 6))
-        self.noise_level = np.array(
-            [[s.sensor.noise] * 3 + [s.sensor.torque_noise] * 3 for s in scenarios]
-        )
         delay, jitter = self.numbers.delay, self.numbers.jitter
         longest = float(np.max(delay + JITTER_CLIP * jitter))
         self._delay_steps = delay / physics_step
@@ -77,7 +75,7 @@ class Sensors:
         self._streams = [rng.spawn(2) for rng in rngs]
         self._noise = np.zeros((n, BLOCK, 6))
         self._jitter = np.zeros((n, BLOCK))
-        self._noisy = np.flatnonzero(self.noise_level.any(axis=1))
+        self._noisy = np.flatnonzero(self.numbers.noise.any(axis=1))
         self._jittery = np.flatnonzero(jitter)
         self._next_block = 0
         arrived = np.zeros((n, self.substeps, 6))
@@ -108,7 +106,7 @@ class Sensors:
         self._next_block += BLOCK
         for i in self._noisy:
             self._streams[i][0].standard_normal(out=self._noise[i])
-            self._noise[i] *= self.noise_level[i]
+            self._noise[i] *= self.numbers.noise[i]
         for i in self._jittery:
             self._streams[i][1].standard_normal(out=self._jitter[i])
 

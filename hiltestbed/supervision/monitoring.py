@@ -27,8 +27,7 @@ import numpy as np
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
-from hiltestbed.identification.samples import GATE_SIGMA, ContactSamples
-from hiltestbed.scenario import Scenario
+from hiltestbed.identification.samples import ContactSamples, SampleParameters
 from hiltestbed.scenario.monitoring import ContactEstimate, Monitoring
 
 AXIAL = 2
@@ -45,18 +44,18 @@ class ProcessMonitor:
             estimated.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        n = len(scenarios)
-        self.tick = 1.0 / scenarios[0].rate
-        self._settings = tuple(s.monitoring for s in scenarios)
-        settings = [m or Monitoring() for m in self._settings]
+    def __init__(
+        self, parameters: SampleParameters, monitored: Sequence[Monitoring | None]
+    ) -> None:
+        """``monitored``: of each run; one without is watched with the defaults, for no summary."""
+        n, self.tick, self._settings = len(monitored), 1.0 / parameters.rate, tuple(monitored)
+        settings = [m or Monitoring() for m in monitored]
         windows = np.array([m.window for m in settings])
         self._ratio = np.array([m.seat_ratio for m in settings])
         self._enough = (windows / self.tick).astype(np.int64)
-        self._local = RecursiveLeastSquares(
-            ContactSamples(scenarios), list(np.exp(-self.tick / windows))
-        )
-        self._threshold = np.array([GATE_SIGMA * s.sensor.noise for s in scenarios])
+        samples = ContactSamples(parameters)
+        self._local = RecursiveLeastSquares(samples, list(np.exp(-self.tick / windows)))
+        self._threshold = samples.threshold
         self.touch, self.seat, self.capture, self.first_stiffness = np.full((4, n), np.nan)
         # successive readings that indicate touch, seat, capture
         self._runs = np.zeros((n, 3), dtype=np.int64)

@@ -20,7 +20,7 @@ from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.limbs import slider
 from hiltestbed.platform.facilities.pss33 import shipped_limbs
 from hiltestbed.platform.plant import Plant
-from hiltestbed.scenario import Scenario
+from hiltestbed.scenario.safety import SafetyLimits
 
 LIMITS = {  # what is said beyond each, and its unit
     "stroke": ("a slider is {value:.4g} m from home", "m"),
@@ -41,17 +41,16 @@ class Safety:
         quantities: ``(n, 8)`` the largest value at this tick of each quantity in :data:`LIMITS`.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        n = len(scenarios)
-        self._tick = 1.0 / scenarios[0].rate
-        limits = [[getattr(s.safety, name) for name in LIMITS] for s in scenarios]
+    def __init__(self, limits: Sequence[SafetyLimits], tick: float, joints_stated: bool) -> None:
+        """``joints_stated``: whether the platform states limits of its joints, which
+        :meth:`Plant.joint_limit` checks; sliders and limbs of other platforms are checked here.
+        """
+        n, self._tick = len(limits), tick
+        rows = [[getattr(own, name) for name in LIMITS] for own in limits]
         self._limits = np.array(
-            [[math.inf if limit is None else limit for limit in row] for row in limits]
+            [[math.inf if limit is None else limit for limit in row] for row in rows]
         )
-        # If a platform states limits of its joints, Plant.joint_limit checks these; sliders and
-        # limbs of other platforms are checked here.
-        stated = scenarios[0].rig.platform.states_limits
-        self._limbs = shipped_limbs()[: 0 if stated else 6]
+        self._limbs = shipped_limbs()[: 0 if joints_stated else 6]
         self._plant: Plant | None = None
         self.quantities = np.zeros((n, len(LIMITS)))
         self._sliders = np.zeros((n, 2, 6))  # positions and speeds at the previous tick

@@ -13,6 +13,7 @@ import rerun as rr
 
 from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.frames import Array, rotation_vectors
+from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.run_folder.result import Run
 from hiltestbed.signals import AXES, RunTrace
 from hiltestbed.viewer import colors
@@ -64,7 +65,7 @@ def send_signals(rec: rr.RecordingStream, run: Run, trace: RunTrace) -> None:
     _axes(plotter, trace)
     _estimates(plotter, run, trace)
     _platform(plotter, trace)
-    energy = energy_generated(trace, run.scenario)
+    energy = energy_generated(trace, approach_state(run.scenario), run.scenario.tick)
     plotter.curves(
         "energy_generated", ["made by the rig [J]"], [colors.ENERGY], energy[:, None], [2.0]
     )

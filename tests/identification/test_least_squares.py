@@ -7,10 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from hiltestbed import load_scenario
+from hiltestbed import build, load_scenario
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.identification.methods.rls import Rls
-from hiltestbed.sensor.sensor import Sensors
 
 SCENARIO = "04-bumper-delay-compensated"
 K, C, MU, V0 = 1.0e5, 400.0, 400.0, 0.03
@@ -34,7 +33,7 @@ def _identify(scenarios, offset: float = 0.0) -> RecursiveLeastSquares:
     first = scenarios[0]
     x, v, force = _bounce(int(first.rate), first.substeps)
     n, m = len(scenarios), first.substeps
-    sensor = Sensors(scenarios, [np.random.default_rng(s.seed) for s in scenarios])
+    sensor = build.sensors(scenarios)
     estimator = Rls.start(scenarios)
     pose, twist, wrench = np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, m, 6))
     pose[:, 6] = 1.0

@@ -5,48 +5,34 @@ depend on the batch.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from hiltestbed.scenario import scenario_from
+from hiltestbed.effects import EFFECTS
+from hiltestbed.sensor.parameters import SensorParameters
 from hiltestbed.sensor.sensor import Sensors
+from hiltestbed.sensor.settings import Sensor
 
 RATE, SUBSTEPS = 1000.0, 4
 
 
-def scenario(
-    sensor: dict | None = None,
-    effects: list | None = None,
-    rate: float = RATE,
-    substeps: int = SUBSTEPS,
-):
-    body = {"mass": 500.0, "inertia": [200.0, 180.0, 150.0]}
-    return scenario_from(
-        {
-            "name": "sensor",
-            "duration": 1.0,
-            "rate": rate,
-            "physics_rate": rate * substeps,
-            "spacecraft": {"chaser": body, "target": body},
-            "approach": {"velocity": [0, 0, 0.03]},
-            "mechanism": {"contact": {"stiffness": 1e5}},
-            "sensor": sensor or {},
-            "effects": effects or [],
-        }
-    )
+def sensor(settings: dict | None = None, effects: Sequence[dict] = ()) -> SensorParameters:
+    nominal = SensorParameters.believed(Sensor.model_validate(settings or {}))
+    return nominal.with_effects(EFFECTS[e["kind"]].model_validate(e) for e in effects)
 
 
-def readings(signal, ticks=200, scenarios=None, seed=5):
+def readings(signal, ticks=200, sensors=None, rate=RATE, substeps=SUBSTEPS):
     """(ticks, n, 6) readings of the wrench `signal(t)` -> (..., 6)."""
-    scenarios = scenarios or [scenario()]
-    sensor = Sensors(scenarios, [np.random.default_rng(seed + i) for i in range(len(scenarios))])
-    out = np.empty((ticks, len(scenarios), 6))
-    rate, substeps = scenarios[0].rate, scenarios[0].substeps
+    sensors = sensors or [sensor()]
+    n = len(sensors)
+    block = Sensors(sensors, 1.0 / rate, substeps, [np.random.default_rng(5 + i) for i in range(n)])
+    out = np.empty((ticks, n, 6))
     for k in range(ticks):
         t = k / rate + np.arange(1 - substeps, 1) / (rate * substeps)
-        out[k] = sensor.read(k, np.repeat(signal(np.maximum(t, 0.0))[None], len(scenarios), axis=0))
+        out[k] = block.read(k, np.repeat(signal(np.maximum(t, 0.0))[None], n, axis=0))
     return out
 
 
@@ -63,7 +49,7 @@ def test_without_delay_the_reading_is_the_wrench_itself():
 def test_a_linear_wrench_arrives_late_by_any_delay(delay):
     t = np.arange(200) / RATE
     expected = ramp(np.maximum(t - delay, 0.0))
-    got = readings(ramp, scenarios=[scenario({"delay": delay})])[:, 0]
+    got = readings(ramp, sensors=[sensor({"delay": delay})])[:, 0]
     late = t - delay >= 0  # the step in slope at t = 0 lies between two instants
     assert np.allclose(got[late], expected[late], rtol=0, atol=1e-9)
     assert np.all(got[t < delay - 1 / RATE] == 0)
@@ -71,9 +57,9 @@ def test_a_linear_wrench_arrives_late_by_any_delay(delay):
 
 def test_effect_and_nominal_delay_add():
     two = readings(
-        ramp, scenarios=[scenario({"delay": 0.002}, [{"kind": "sensor.delay", "delay": 0.0013}])]
+        ramp, sensors=[sensor({"delay": 0.002}, [{"kind": "sensor.delay", "delay": 0.0013}])]
     )
-    one = readings(ramp, scenarios=[scenario({"delay": 0.0033})])
+    one = readings(ramp, sensors=[sensor({"delay": 0.0033})])
     assert np.allclose(two, one, atol=1e-9)
 
 
@@ -87,7 +73,7 @@ def high_pass(T):
 
 @pytest.mark.parametrize(("rate", "substeps", "delay"), [(250.0, 2, 0.0), (1000.0, 4, 0.0033)])
 @pytest.mark.parametrize(
-    ("sensor", "effects", "law", "T"),
+    ("settings", "effects", "law", "T"),
     [
         ({"lowpass": 1.0 / (2.0 * math.pi * 0.004)}, [], low_pass, 0.004),
         ({}, [{"kind": "sensor.lag", "time_constant": 0.0015}], low_pass, 0.0015),
@@ -95,18 +81,18 @@ def high_pass(T):
         ({}, [{"kind": "sensor.highpass", "time_constant": 0.02}], high_pass, 0.02),
     ],
 )
-def test_a_filter_is_analogue_whatever_the_rate(rate, substeps, delay, sensor, effects, law, T):
+def test_a_filter_is_analogue_whatever_the_rate(rate, substeps, delay, settings, effects, law, T):
     """Against scipy's integration of the same transfer function, of a force that is linear between
     the physics instants: a step to 40 N, then a half sine.
     """
-    one = scenario(sensor | {"delay": delay}, effects, rate, substeps)
+    one = sensor(settings | {"delay": delay}, effects)
     instants = np.arange(120 * substeps) / (rate * substeps)
     force = 40.0 * (instants > 0.1) + 300.0 * np.sin(20.0 * instants).clip(0.0)
 
     def signal(t):
         return np.interp(t, instants, force)[..., None] * np.ones(6)
 
-    got = readings(signal, 120, [one])[:, 0, 2]
+    got = readings(signal, 120, [one], rate, substeps)[:, 0, 2]
     fine = np.linspace(0.0, instants[-1], 20 * (len(instants) - 1) + 1)
     late = np.interp(fine - delay, instants, force, left=0.0)
     at = np.arange(119) / rate
@@ -132,15 +118,13 @@ def test_static_effects_follow_their_equations():
     expected[:, 1] += 2.0 * t + 0.5 * np.sin(2 * np.pi * 50 * t + 0.3)
     expected += [0.1, 0.2, 0.3, 0, 0, 0.4]
     expected[:, :3] = np.clip(expected[:, :3], -40, 40)
-    assert np.allclose(
-        readings(ramp, scenarios=[scenario(effects=effects)])[:, 0], expected, atol=1e-9
-    )
+    assert np.allclose(readings(ramp, sensors=[sensor(effects=effects)])[:, 0], expected, atol=1e-9)
 
 
 def test_dead_zone_and_quantisation():
     got = readings(
         ramp,
-        scenarios=[scenario({"quantisation": 0.5}, [{"kind": "sensor.deadzone", "width": 10.0}])],
+        sensors=[sensor({"quantisation": 0.5}, [{"kind": "sensor.deadzone", "width": 10.0}])],
     )[:, 0, 2]
     true = ramp(np.arange(200) / RATE)[:, 2]
     assert np.all(got[true < 9.9] == 0)
@@ -149,10 +133,10 @@ def test_dead_zone_and_quantisation():
 
 
 def test_noise_has_its_level_and_does_not_depend_on_the_batch():
-    noisy = scenario({"noise": 0.2, "torque_noise": 0.01})
+    noisy = sensor({"noise": 0.2, "torque_noise": 0.01})
     still = lambda t: np.zeros((*np.shape(t), 6))  # noqa: E731
     alone = readings(still, 600, [noisy])
-    batch = readings(still, 600, [noisy, scenario({"noise": 5.0}), noisy])
+    batch = readings(still, 600, [noisy, sensor({"noise": 5.0}), noisy])
     assert np.array_equal(alone[:, 0], batch[:, 0])
     assert not np.array_equal(batch[:, 0], batch[:, 2])  # another run, another stream
     assert alone[..., :3].std() == pytest.approx(0.2, rel=4 / math.sqrt(2 * 1800))
@@ -160,7 +144,7 @@ def test_noise_has_its_level_and_does_not_depend_on_the_batch():
 
 
 def test_jitter_spreads_the_delay_of_a_ramp():
-    jitter = scenario({"delay": 0.01}, [{"kind": "sensor.jitter", "sigma": 0.0005}])
+    jitter = sensor({"delay": 0.01}, [{"kind": "sensor.jitter", "sigma": 0.0005}])
     got = readings(ramp, 900, [jitter])[:, 0, 2]
     late = np.arange(900)[50:] / RATE - got[50:] / 300.0
     assert late.mean() == pytest.approx(0.01, abs=4 * 0.0005 / math.sqrt(850))

@@ -123,25 +123,26 @@ class CorDesigned(ForceMethod):
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
-        damping = np.array([designed_damping(s) for s in scenarios])
+        own = zip(force_of(scenarios, cls), scenarios, strict=True)
+        damping = np.array([f.designed(effective_mass(s), s.sensor.delay) for f, s in own])
         return KernelBlock(add_virtual, STATE, np.zeros(len(scenarios)), damping)
 
-
-def designed_damping(scenario: Scenario) -> float:
-    """The damper [N s/m] that gives the design contact the desired e despite the delay."""
-    (force,), mass = force_of([scenario], CorDesigned), effective_mass(scenario)
-    w = math.sqrt(force.stiffness / mass)
-    z = force.damping / (2.0 * math.sqrt(force.stiffness * mass))
-    turn = w * scenario.sensor.delay
-    desired = force.cor if force.cor is not None else bounce(z, 0.0, 0.0)
-    low, high = 0.0, 1.0 + turn  # bounds, in units of 2 sqrt(k mu)
-    for _ in range(40):  # to a part in 1e12
-        middle = 0.5 * (low + high)
-        if bounce(z, turn, middle) > desired:
-            low = middle
-        else:
-            high = middle
-    return (low + high) * math.sqrt(force.stiffness * mass)
+    def designed(self, mass: float, delay: float) -> float:
+        """The damper [N s/m] that gives the design contact of a reduced ``mass`` [kg] the desired e
+        despite a ``delay`` of the force [s].
+        """
+        w = math.sqrt(self.stiffness / mass)
+        z = self.damping / (2.0 * math.sqrt(self.stiffness * mass))
+        turn = w * delay
+        desired = self.cor if self.cor is not None else bounce(z, 0.0, 0.0)
+        low, high = 0.0, 1.0 + turn  # bounds, in units of 2 sqrt(k mu)
+        for _ in range(40):  # to a part in 1e12
+            middle = 0.5 * (low + high)
+            if bounce(z, turn, middle) > desired:
+                low = middle
+            else:
+                high = middle
+        return (low + high) * math.sqrt(self.stiffness * mass)
 
 
 @njit(cache=True)

@@ -65,24 +65,22 @@ class Polynomial(ForceMethod):
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
-        return PolynomialBlock(scenarios)
+        ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
+        return PolynomialBlock(ticks, [force.order for force in force_of(scenarios, cls)])
 
 
 class PolynomialBlock:
-    """The extrapolation of all six components of the wrench, for ``n`` runs of the same order."""
+    """The extrapolation of all six components of the wrench, for ``n`` runs."""
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        n = len(scenarios)
-        self._ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
-        orders = np.array([force.order for force in force_of(scenarios, Polynomial)])
+    def __init__(self, ticks: Array, orders: Sequence[int]) -> None:
+        """``ticks``: (n,) delay [ticks]. orders: of each run's polynomial."""
+        n, highest = len(ticks), max(orders)
+        self._ticks = ticks
         self._weights = np.array(
-            [
-                [(-1) ** i * math.comb(p + 1, i + 1) for i in range(int(orders.max()) + 1)]
-                for p in orders
-            ],
+            [[(-1) ** i * math.comb(p + 1, i + 1) for i in range(highest + 1)] for p in orders],
             dtype=float,
         )
-        self._history = History(6, self._ticks * orders.max())
+        self._history = History(6, ticks * highest)
         self._late = np.zeros((n, 6))
         self.output = np.zeros((n, 6))
 

@@ -52,6 +52,10 @@ class WithLead(ForceMethod):
     )
     lag: Positive = Field(default=LAG, description="Time constant T2 of the phase lead's pole [s]")
 
+    def time_constants(self, delay: float) -> tuple[float, float]:
+        """T1 and T2 [s] for a ``delay`` of the force [s]."""
+        return (delay + self.lag if self.lead is None else self.lead), self.lag
+
     def memory(self) -> float:
         return self.lag
 
@@ -65,31 +69,26 @@ class PhaseLead(WithLead):
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
-        return PhaseLeadBlock(scenarios)
+        delay = np.array([s.sensor.delay for s in scenarios])
+        return lead_of(force_of(scenarios, cls), delay, scenarios[0].rate)
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
-        return {self.kind: lead_and_lag(scenario)[0] - self.lag}
+        return {self.kind: self.time_constants(scenario.sensor.delay)[0] - self.lag}
 
 
 class PhaseLeadBlock:
     """The lead on all six components of the wrench, for ``n`` runs."""
 
-    def __init__(
-        self,
-        scenarios: Sequence[Scenario],
-        time_constants: Sequence[tuple[float, float]] | None = None,
-    ) -> None:
-        """``time_constants``: T1 and T2 [s] of each run, by default those of its compensation."""
-        n = len(scenarios)
-        self.tick = 1.0 / scenarios[0].rate
-        time_constants = (
-            [lead_and_lag(s) for s in scenarios] if time_constants is None else time_constants
-        )
+    def __init__(self, rate: float, time_constants: Sequence[tuple[float, float]]) -> None:
+        """``rate``: [Hz]. time_constants: T1 and T2 [s] of each run."""
+        n = len(time_constants)
         self.lead = np.array([lead for lead, _ in time_constants])
         self.lag = np.array([lag for _, lag in time_constants])
         self.output = np.zeros((n, 6))
         self._previous = np.zeros((n, 6))
-        self._lead = Call(_lead, GIVEN, self.lead, self.lag, self.tick, self._previous, self.output)
+        self._lead = Call(
+            _lead, GIVEN, self.lead, self.lag, 1.0 / rate, self._previous, self.output
+        )
 
     def compensate(self, measurement: Measurement) -> Array:
         """``(n, 6)`` the wrench led by ``T1 - T2``."""
@@ -101,11 +100,9 @@ class PhaseLeadBlock:
         return self.output
 
 
-def lead_and_lag(scenario: Scenario) -> tuple[float, float]:
-    """T1 and T2 [s] of a scenario's phase lead: the method, or another method's fallback."""
-    force = scenario.compensation.force
-    lead, lag = getattr(force, "lead", None), getattr(force, "lag", LAG)
-    return (scenario.sensor.delay + lag if lead is None else lead), lag
+def lead_of(own: Sequence[WithLead], delay: Array, rate: float) -> PhaseLeadBlock:
+    """The lead of the methods ``own`` for a ``delay`` (n,) of the force [s]; rate [Hz]."""
+    return PhaseLeadBlock(rate, [f.time_constants(d) for f, d in zip(own, delay, strict=True)])
 
 
 @njit(cache=True)

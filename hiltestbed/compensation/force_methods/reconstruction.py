@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from hiltestbed.compensation.force_methods.phase_lead import LAG, PhaseLeadBlock, WithLead
+from hiltestbed.compensation.force_methods.phase_lead import LAG, PhaseLeadBlock, WithLead, lead_of
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, force_of
@@ -56,7 +56,10 @@ class Reconstruction(WithLead):
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ReconstructionBlock:
-        return ReconstructionBlock(scenarios)
+        delay, rate = np.array([s.sensor.delay for s in scenarios]), scenarios[0].rate
+        lead = lead_of(force_of(scenarios, cls), delay, rate)
+        captured = CapturedContact(delay, rate) if scenarios[0].mechanism.captures else None
+        return ReconstructionBlock(lead, delay * rate, captured)
 
 
 @register
@@ -79,7 +82,11 @@ class SmithPredictor(WithLead):
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> SmithPredictorBlock:
-        return SmithPredictorBlock(scenarios)
+        delay, rate = np.array([s.sensor.delay for s in scenarios]), scenarios[0].rate
+        own = force_of(scenarios, cls)
+        spring = np.array([(f.stiffness, f.damping) for f in own]).T.copy()
+        lead = lead_of(own, delay, rate) if own[0].lead_rest else None
+        return SmithPredictorBlock(spring, delay * rate, lead)
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
         from hiltestbed.contact.directions import acting_along_z
@@ -90,13 +97,15 @@ class SmithPredictor(WithLead):
 class ReconstructionBlock:
     """M with k and c as identified so far, on six axes."""
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        n = len(scenarios)
-        self._lead = PhaseLeadBlock(scenarios)
-        captures = scenarios[0].mechanism.captures
-        self._captured = CapturedContact(scenarios) if captures else None
-        self._ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
-        self._states = History(12, self._ticks)
+    def __init__(
+        self, lead: PhaseLeadBlock, ticks: Array, captured: CapturedContact | None
+    ) -> None:
+        """``lead``: where there is no estimate. ticks: (n,) delay [ticks]. captured: of a mechanism
+        that captures.
+        """
+        n = len(ticks)
+        self._lead, self._ticks, self._captured = lead, ticks, captured
+        self._states = History(12, ticks)
         self._state, self._late = np.zeros((n, 12)), np.zeros((n, 12))
         self._at_A = np.zeros((n, 3))
         self.output = np.zeros((n, 6))
@@ -126,14 +135,13 @@ class ReconstructionBlock:
 class SmithPredictorBlock:
     """M with a given k and c along the insertion."""
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        n = len(scenarios)
-        force = force_of(scenarios, SmithPredictor)
-        self._stiffness = np.array([f.stiffness for f in force])
-        self._damping = np.array([f.damping for f in force])
-        self._lead = PhaseLeadBlock(scenarios) if force[0].lead_rest else None
-        self._ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
-        self._model = History(6, self._ticks)
+    def __init__(self, spring: Array, ticks: Array, lead: PhaseLeadBlock | None) -> None:
+        """``spring``: (2, n) k [N/m] and c [N s/m]. ticks: (n,) delay [ticks]. lead: of what the
+        model does not explain.
+        """
+        n, (self._stiffness, self._damping) = len(ticks), spring
+        self._ticks, self._lead = ticks, lead
+        self._model = History(6, ticks)
         self._now, self._late = np.zeros((n, 6)), np.zeros((n, 6))
         self._rest = Measurement(
             self._late, self._late, self._late, self._late, self._late, np.zeros(n, dtype=bool)
@@ -187,10 +195,11 @@ def _spring(pose, twist, stiffness, damping, out):
 class CapturedContact:
     """The wrench of ``n`` captured pairs."""
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        n = len(scenarios)
-        self._lead = PhaseLeadBlock(scenarios, [(s.sensor.delay + LAG, LAG) for s in scenarios])
-        self._ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
+    def __init__(self, delay: Array, rate: float) -> None:
+        """``delay``: (n,) of the force [s]; ``rate``: [Hz]."""
+        n = len(delay)
+        self._lead = PhaseLeadBlock(rate, [(d + LAG, LAG) for d in delay])
+        self._ticks = delay * rate
         self._states = History(12, self._ticks)
         self._state, self._late = np.zeros((n, 12)), np.zeros((n, 12))
 

@@ -54,7 +54,9 @@ class Admittance(MotionMethod):
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> AdmittanceBlock:
-        return AdmittanceBlock(scenarios)
+        own = motion_of(scenarios, cls)
+        limits, speeds = np.array([m.limit for m in own]), np.array([m.speed for m in own])
+        return AdmittanceBlock(1.0 / scenarios[0].rate, limits, speeds)
 
 
 class AdmittanceBlock:
@@ -65,12 +67,10 @@ class AdmittanceBlock:
         offset: ``(n,)`` [m] by which the platform has yielded, <= 0.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        n = len(scenarios)
-        motion = motion_of(scenarios, Admittance)
-        self._tick = 1.0 / scenarios[0].rate
-        self._limit = np.array([m.limit for m in motion])
-        self._speed = np.array([m.speed for m in motion])
+    def __init__(self, tick: float, limit: Array, speed: Array) -> None:
+        """``tick``: [s]. limit: (n,) [N] where it yields. speed: (n,) [m/s] at most."""
+        n = len(limit)
+        self._tick, self._limit, self._speed = tick, limit, speed
         self.offset = np.zeros(n)
         self.rate = np.zeros((n, 6))
 

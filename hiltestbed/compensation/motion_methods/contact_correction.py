@@ -11,7 +11,7 @@ lag, provided that the contact is a spring and damper.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -22,9 +22,6 @@ from hiltestbed.frames import Array, rotate, twist_between
 from hiltestbed.identification.held import add_moment
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
 
 
 @register
@@ -47,9 +44,10 @@ class Gate:
         threshold: (n,) [N]. touching: (n,) bool.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        self.threshold = np.array([GATE_SIGMA * s.sensor.noise for s in scenarios])
-        self.touching = np.zeros(len(scenarios), dtype=bool)
+    def __init__(self, noise: Sequence[float]) -> None:
+        """``noise``: [N] standard deviation of a force axis, of each run."""
+        self.threshold = GATE_SIGMA * np.array(noise)
+        self.touching = np.zeros(len(noise), dtype=bool)
 
 
 def correct_for_platform(

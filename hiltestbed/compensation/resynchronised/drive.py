@@ -35,7 +35,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,9 +62,7 @@ from hiltestbed.identification.samples import FILTER_MEMORY
 from hiltestbed.numerical_model.kernels import SCRATCH, mobility, solve, wrench_at_A, wrench_at_P
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.sensor.chain import FILTERED, filters_of, high_pass, low_pass
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+from hiltestbed.sensor.settings import Sensor
 
 # Part of a drive's force that a correction may take; the rest is for the contact and the position
 # loop, whose answer to a step of force may reach as much again. At 0.73 of it the shipped arm with
@@ -149,12 +147,14 @@ class PredictionParameters(NamedTuple):
         blending: [s] time constant of corrections. estimate: whether the delay is corrected.
         known: stiffness [N/m], damping [N s/m] and touch [m] of a contact identified beforehand.
         shares: (J, 6) of the drives' forces that an acceleration takes [s^2/m, s^2/rad].
+        sensor: the nominal one.
     """
 
     blending: float
     estimate: bool
     known: tuple[float, float, float] | None
     shares: Array
+    sensor: Sensor
 
 
 class ResynchronisedDrive:
@@ -172,24 +172,27 @@ class ResynchronisedDrive:
     def __init__(
         self,
         model: NumericalModel,
-        scenarios: Sequence[Scenario],
         given: Sequence[PredictionParameters],
+        substeps: int,
+        prescribed: bool,
+        captured: CapturedContact | None,
     ) -> None:
+        """``substeps``: of the physics in a tick. prescribed: whether the platform is. captured:
+        takes over once captured; None: the contact is with a plane, and nothing captures.
+        """
         n, h = model.n, model.tick
         self.model = model
         self.pose, self.twist = model.pose, model.twist
         self.wrench = np.zeros((n, 6))
         self.predicted_pose, self.predicted_twist = np.zeros((n, 7)), np.zeros((n, 6))
         self._predicted = np.zeros((n, 6))
-        setup = _setup(scenarios, given, h)
+        setup = _setup(given, h)
         bodies = NominalBodies(
             model.port, model.mass, model.inertia, np.linalg.inv(model.inertia).astype(np.float64)
         )
-        self.state = _state(scenarios, given, model)
-        flat, prescribed = scenarios[0].mechanism.flat, scenarios[0].rig.platform.prescribed
-        copy = Copy(h, flat, prescribed, float(scenarios[0].substeps), bodies, setup, self.state)
-        # a bumper has no latches
-        self._captured = None if flat else CapturedContact(scenarios)
+        self.state = _state(given, model)
+        flat, self._captured = captured is None, captured
+        copy = Copy(h, flat, prescribed, float(substeps), bodies, setup, self.state)
         predicted = (self.predicted_pose, self.predicted_twist, self._predicted)
         self._advanced = Call(_advance, copy, GIVEN, GIVEN, GIVEN, *predicted)
         self._followed = Call(_follow, copy, GIVEN, self.pose, self.twist, *predicted, self.wrench)
@@ -208,27 +211,23 @@ class ResynchronisedDrive:
         self.model.advance(self.wrench)
 
 
-def _setup(scenarios: Sequence[Scenario], given: Sequence[PredictionParameters], h: float) -> Setup:
-    lowpass, leak = filters_of(scenarios)
+def _setup(given: Sequence[PredictionParameters], h: float) -> Setup:
+    lowpass, leak = filters_of([f.sensor for f in given])
     return Setup(
         smooth=low_pass(lowpass, h),
         leak=high_pass(leak, h),
         skip=np.ceil(FILTER_MEMORY * lowpass / h).astype(np.int64),
-        sigma=np.array([[s.sensor.noise, s.sensor.torque_noise] for s in scenarios]),
+        sigma=np.array([[f.sensor.noise, f.sensor.torque_noise] for f in given]),
         blend=np.array([min(1.0 / f.blending, SYNC_LIMIT / h) for f in given]),
         shares=np.array([f.shares for f in given]),
         estimate=np.array([int(f.estimate) for f in given]),
     )
 
 
-def _state(
-    scenarios: Sequence[Scenario],
-    given: Sequence[PredictionParameters],
-    model: NumericalModel,
-) -> State:
-    n = model.n
+def _state(given: Sequence[PredictionParameters], model: NumericalModel) -> State:
+    n, sensors = model.n, [f.sensor for f in given]
     rows = [ce.unknown() if f.known is None else ce.prior(*f.known) for f in given]
-    late = math.ceil(max(s.sensor.delay for s in scenarios) / model.tick)
+    late = math.ceil(max(s.delay for s in sensors) / model.tick)
     spare = late + 64  # an estimated delay may be longer than the nominal one
     length = HISTORY + 2 * spare
     line = np.zeros((n, 3, 6))
@@ -250,9 +249,9 @@ def _state(
         regressor=np.zeros((n, 3, FILTERED)),
         pending=np.zeros((n, 4)),
         filtered=np.zeros((n, 2, FILTERED)),
-        delay=np.array([s.sensor.delay for s in scenarios]),
+        delay=np.array([s.delay for s in sensors]),
         drift=np.zeros((n, DRIFT)),
-        lag=np.stack([filters_of(scenarios)[0] / model.tick, np.zeros(n)], axis=1),
+        lag=np.stack([filters_of(sensors)[0] / model.tick, np.zeros(n)], axis=1),
         delay_half_width=np.zeros(n),
         told=np.zeros((n, TOLD)),
         used=np.zeros((n, 6)),

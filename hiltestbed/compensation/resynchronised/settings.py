@@ -63,6 +63,7 @@ class Resynchronised(ForceMethod):
     @classmethod
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ResynchronisedDrive:
         from hiltestbed.compensation.resynchronised.drive import (
+            CapturedContact,
             PredictionParameters,
             ResynchronisedDrive,
         )
@@ -74,8 +75,14 @@ class Resynchronised(ForceMethod):
             shares = np.zeros((0, 6)) if drives is None else drives.shares
             known = None if c is None else (c.stiffness, c.damping, c.touch)
             estimate = force.delay == "estimate"
-            given.append(PredictionParameters(force.blending, estimate, known, shares))
-        return ResynchronisedDrive(model, scenarios, given)
+            given.append(
+                PredictionParameters(force.blending, estimate, known, shares, scenario.sensor)
+            )
+        first, delay = scenarios[0], np.array([s.sensor.delay for s in scenarios])
+        # a plane has no latches
+        captured = None if first.mechanism.flat else CapturedContact(delay, first.rate)
+        prescribed = first.rig.platform.prescribed
+        return ResynchronisedDrive(model, given, first.substeps, prescribed, captured)
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
         sensor = scenario.sensor

@@ -30,9 +30,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from hiltestbed.compiled.bound import bound
@@ -46,12 +47,9 @@ from hiltestbed.identification.least_squares import (
     about_means,
     accumulate,
 )
-from hiltestbed.identification.samples import ContactSamples
-from hiltestbed.identification.settings import Identifier, identifier_of
+from hiltestbed.identification.samples import ContactSamples, SampleParameters
+from hiltestbed.identification.settings import ContactIdentifier
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
 
 INSTRUMENTAL_SAMPLES = 12
 LONGEST = 10_000  # ticks: seconds at any rate of a loop
@@ -66,7 +64,7 @@ ACCEPTED = 0.3  # relative standard deviation below which k is reported
 
 
 @register
-class Instrumental(Identifier):
+class Instrumental(ContactIdentifier):
     """Batch least squares with instrumental variables: the reference method for a noisy pose."""
 
     kind: Literal["instrumental"] = "instrumental"
@@ -75,18 +73,18 @@ class Instrumental(Identifier):
     )
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario]) -> InstrumentVariables:
-        return InstrumentVariables(scenarios)
+    def estimator(cls, own: Sequence[Self], parameters: SampleParameters) -> InstrumentVariables:
+        return InstrumentVariables(ContactSamples(parameters), np.array([o.lag for o in own]))
 
 
 class InstrumentVariables:
     """Estimates on six axes for ``n`` runs; attributes as in :class:`RecursiveLeastSquares`."""
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        n = len(scenarios)
-        self.source = ContactSamples(scenarios)
-        self._lags = np.array([o.lag for o in identifier_of(scenarios, Instrumental)])
-        self._past = np.zeros((n, int(self._lags.max()) + 1, 6, 3))
+    def __init__(self, source: ContactSamples, lags: NDArray[np.int64]) -> None:
+        """``lags``: (n,) ticks by which the instruments are older than the samples."""
+        n = len(lags)
+        self.source, self._lags = source, lags
+        self._past = np.zeros((n, int(lags.max()) + 1, 6, 3))
         self._length = np.zeros(n, dtype=np.int64)  # samples of this contact
         self._sums = np.zeros((n, 6, 3, 4))  # Z^T Phi, Z^T y
         self.stiffness, self.damping = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
@@ -142,7 +140,7 @@ def _solve(s, n, stiffness, damping, j):
 
 
 @register
-class HuntCrossley(Identifier):
+class HuntCrossley(ContactIdentifier):
     """Single-stage fit of the Hunt-Crossley law F = k x^n (1 + alpha v), with the pose at the time
     the force acted.
     """
@@ -150,8 +148,8 @@ class HuntCrossley(Identifier):
     kind: Literal["hunt_crossley"] = "hunt_crossley"
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario]) -> HuntCrossleyFit:
-        return HuntCrossleyFit(scenarios)
+    def estimator(cls, own: Sequence[Self], parameters: SampleParameters) -> HuntCrossleyFit:
+        return HuntCrossleyFit(ContactSamples(parameters))
 
 
 class HuntCrossleyFit:
@@ -163,9 +161,9 @@ class HuntCrossleyFit:
         alpha: ``(n, 6)`` [s/m].
     """
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        n = len(scenarios)
-        self.source = ContactSamples(scenarios)
+    def __init__(self, source: ContactSamples) -> None:
+        n = len(source.delay)
+        self.source = source
         self._sums = np.zeros((n, 6, SUMS))
         self._deepest = np.zeros((n, 6))
         self._found = np.full((5, n, 6), np.nan)
@@ -214,7 +212,7 @@ def _fit_hunt_crossley(ready, sample, sums, deepest, samples, found):
 
 
 @register
-class KalmanIdentifier(Identifier):
+class KalmanIdentifier(ContactIdentifier):
     """Adaptive Kalman filter of k, c and an intercept, all modelled as a random walk."""
 
     kind: Literal["kalman"] = "kalman"
@@ -224,8 +222,8 @@ class KalmanIdentifier(Identifier):
     )
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario]) -> AdaptiveKalman:
-        return AdaptiveKalman(scenarios)
+    def estimator(cls, own: Sequence[Self], parameters: SampleParameters) -> AdaptiveKalman:
+        return AdaptiveKalman(ContactSamples(parameters), np.array([o.wander for o in own]))
 
 
 class _State(NamedTuple):
@@ -242,23 +240,17 @@ class _State(NamedTuple):
 class AdaptiveKalman:
     """Estimates on six axes for ``n`` runs; attributes as in :class:`RecursiveLeastSquares`."""
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        n = len(scenarios)
-        self.source = ContactSamples(scenarios)
-        self._wander = np.array([o.wander for o in identifier_of(scenarios, KalmanIdentifier)])
+    def __init__(self, source: ContactSamples, wander: Array) -> None:
+        """``wander``: (n,) factor of the process noise [-]."""
+        n = len(wander)
+        self.source = source
         found = np.full((4, n, 6), np.nan)
         self.stiffness, self.damping, self.stiffness_sd, self.damping_sd = found
         self.samples = np.zeros((n, 6))
-        self._floor = np.array(
-            [
-                [max(s.sensor.noise, 1e-6) ** 2] * 3 + [max(s.sensor.torque_noise, 1e-7) ** 2] * 3
-                for s in scenarios
-            ]
-        )
+        floor = np.repeat(np.maximum(source.noise, [1e-6, 1e-7]) ** 2, 3, axis=1)
         covariance, noise, speed = np.tile(P0 * np.eye(3), (n, 6, 1, 1)), *np.zeros((2, n, 6))
         self._state = _State(np.zeros((n, 6, 3)), covariance, noise, speed, self.samples, found)
-        given = (self.source.ready, self.source.sample, self._wander, self._floor)
-        self._filter = bound(_filter, *given, self._state)
+        self._filter = bound(_filter, source.ready, source.sample, wander, floor, self._state)
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
         """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""

@@ -5,22 +5,22 @@ lead; and no identification.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field
 
 from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
 from hiltestbed.config.validation import Positive
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
-from hiltestbed.identification.samples import ContactSamples
-from hiltestbed.identification.settings import Identifier, identifier_of
+from hiltestbed.identification.samples import ContactSamples, SampleParameters
+from hiltestbed.identification.settings import ContactIdentifier, Identifier
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 
-class Recursive(Identifier):
+class Recursive(ContactIdentifier):
     """What the recursions share."""
 
     forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
@@ -42,12 +42,9 @@ class Rls(Recursive):
     )
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
-        own = identifier_of(scenarios, cls)
-        return RecursiveLeastSquares(
-            ContactSamples(scenarios, estimate=own[0].delay == "estimate"),
-            [o.forgetting for o in own],
-        )
+    def estimator(cls, own: Sequence[Self], parameters: SampleParameters) -> RecursiveLeastSquares:
+        samples = ContactSamples(parameters, estimate=own[0].delay == "estimate")
+        return RecursiveLeastSquares(samples, [o.forgetting for o in own])
 
 
 @register
@@ -59,11 +56,9 @@ class RlsRaw(Recursive):
     kind: Literal["rls_raw"] = "rls_raw"
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
-        return RecursiveLeastSquares(
-            ContactSamples(scenarios, aligned=False),
-            [o.forgetting for o in identifier_of(scenarios, cls)],
-        )
+    def estimator(cls, own: Sequence[Self], parameters: SampleParameters) -> RecursiveLeastSquares:
+        samples = ContactSamples(parameters, aligned=False)
+        return RecursiveLeastSquares(samples, [o.forgetting for o in own])
 
 
 @register
@@ -83,13 +78,10 @@ class RlsLead(Recursive):
         return self.lag
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
-        own = identifier_of(scenarios, cls)
-        lead = PhaseLeadBlock(
-            scenarios,
-            [(s.sensor.delay + o.lag, o.lag) for s, o in zip(scenarios, own, strict=True)],
-        )
-        samples = ContactSamples(scenarios, aligned=False, lead=[o.lag for o in own])
+    def estimator(cls, own: Sequence[Self], parameters: SampleParameters) -> RecursiveLeastSquares:
+        pairs = zip(parameters.sensors, own, strict=True)
+        lead = PhaseLeadBlock(parameters.rate, [(s.delay + o.lag, o.lag) for s, o in pairs])
+        samples = ContactSamples(parameters, aligned=False, lead=[o.lag for o in own])
         return RecursiveLeastSquares(samples, [o.forgetting for o in own], lead)
 
 
@@ -100,5 +92,5 @@ class NoIdentification(Identifier):
     kind: Literal["none"] = "none"
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario]) -> None:
+    def start(cls, scenarios: Sequence[ScenarioLike]) -> None:
         return None
