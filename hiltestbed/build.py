@@ -8,26 +8,34 @@ the scenarios; those whose method is chosen in the scenario are made by the meth
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hiltestbed.analysis.metrics import Tally
 from hiltestbed.analysis.outcome import Outcomes
+from hiltestbed.compensation.blocks import ForceDrive
 from hiltestbed.compensation.input import InputDeadZone, InputParameters
+from hiltestbed.compensation.interfaces import Drive
 from hiltestbed.compensation.motion import MotionCommand
-from hiltestbed.compensation.settings import MOTION_METHODS
+from hiltestbed.compensation.motion_methods.contact_correction import Gate
+from hiltestbed.compensation.settings import FORCE_METHODS, MOTION_METHODS
 from hiltestbed.config.validation import Problem
 from hiltestbed.config.yaml_source import Source, dotted
 from hiltestbed.contact.findings import faults
 from hiltestbed.errors import InputError
 from hiltestbed.identification.samples import SampleParameters
+from hiltestbed.identification.settings import IDENTIFIERS, Identification
 from hiltestbed.platform.build import problems as facility_problems
+from hiltestbed.plugins import calling
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.sensor.parameters import SensorParameters
 from hiltestbed.sensor.sensor import Sensors
 from hiltestbed.supervision.monitoring import ProcessMonitor
 from hiltestbed.supervision.safety import Safety
+
+if TYPE_CHECKING:
+    from hiltestbed.numerical_model.model import NumericalModel
 
 
 def runnable_from(
@@ -75,6 +83,24 @@ def monitor(scenarios: Sequence[Scenario]) -> ProcessMonitor:
 def dead_zone(scenarios: Sequence[Scenario]) -> InputDeadZone:
     """What the compensation does not see of the readings."""
     return InputDeadZone([InputParameters.of(s.effects) for s in scenarios])
+
+
+def identification(scenarios: Sequence[Scenario]) -> Identification | None:
+    """The estimator of runs of the same method; None if nothing is estimated."""
+    return IDENTIFIERS[scenarios[0].identification.kind].start(scenarios)
+
+
+def drive(scenarios: Sequence[Scenario], model: NumericalModel) -> Drive:
+    """What drives the ``model`` of runs of the same compensation."""
+    compensation = scenarios[0].compensation
+    own = FORCE_METHODS[compensation.force.kind]
+    with calling(own, f"compensation.force: {own.__name__}.start"):
+        method = own.start(scenarios, model)
+    if isinstance(method, Drive):
+        return method
+    corrects = MOTION_METHODS[compensation.motion.kind].corrects_force
+    gate = Gate([s.sensor.noise for s in scenarios]) if corrects else None
+    return ForceDrive(model, method, gate)
 
 
 def motion_command(scenarios: Sequence[Scenario]) -> MotionCommand:

@@ -17,14 +17,12 @@ from numpy.typing import NDArray
 from hiltestbed import build
 from hiltestbed.analysis.metrics import take_figures
 from hiltestbed.analysis.outcome import take_contacts
-from hiltestbed.compensation.blocks import make_drive
 from hiltestbed.compensation.interfaces import Drive
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.phases import Phases
 from hiltestbed.frames import Array
-from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.platform.plant import FreeMotion, Plant
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import Trace
@@ -105,7 +103,7 @@ class Loop:
         n = len(scenarios)
         self.scenarios = scenarios
         self.sensor, self.plant, self.safety = side(scenarios, nthread)
-        self.identification = IDENTIFIERS[scenarios[0].identification.kind].start(scenarios)
+        self.identification = build.identification(scenarios)
         if self.identification:
             self.identification.source.captured = self.plant.captured
             if self.plant.phases is not None:
@@ -116,7 +114,7 @@ class Loop:
         self.drive: Drive = (
             FreeMotion(scenarios, self.plant)
             if self.plant.physical
-            else make_drive(scenarios, self.model)
+            else build.drive(scenarios, self.model)
         )
         self.motion = build.motion_command(scenarios)
         self.tally = build.tally(scenarios)

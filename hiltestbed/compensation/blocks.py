@@ -1,25 +1,22 @@
-"""What stands between the measured wrench and the commanded motion of the rig: the drive that a
-scenario selects (:mod:`hiltestbed.compensation.interfaces`).
+"""What stands between the measured wrench and the commanded motion of the rig: the drive of a
+method that corrects the force (:mod:`hiltestbed.compensation.interfaces`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiltestbed.compensation.interfaces import Drive, ForceBlock
+from hiltestbed.compensation.interfaces import ForceBlock
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.motion_methods.contact_correction import Gate, correct_for_platform
-from hiltestbed.compensation.settings import FORCE_METHODS, MOTION_METHODS
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.plugins import calling, is_users
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel
-    from hiltestbed.scenario import Scenario
 
 
 class ForceDrive:
@@ -70,16 +67,3 @@ class ForceDrive:
         if self._gate is not None:
             correct_for_platform(measurement, self.pose, self.twist, self._gate, self.wrench)
         self.model.advance(self.wrench)
-
-
-def make_drive(scenarios: Sequence[Scenario], model: NumericalModel) -> Drive:
-    """The drive that ``compensation`` selects; one kind for all runs of a batch."""
-    compensation = scenarios[0].compensation
-    own = FORCE_METHODS[compensation.force.kind]
-    with calling(own, f"compensation.force: {own.__name__}.start"):
-        method = own.start(scenarios, model)
-    if isinstance(method, Drive):
-        return method
-    corrects = MOTION_METHODS[compensation.motion.kind].corrects_force
-    gate = Gate([s.sensor.noise for s in scenarios]) if corrects else None
-    return ForceDrive(model, method, gate)

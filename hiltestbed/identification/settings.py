@@ -97,6 +97,6 @@ class ContactIdentifier(Identifier):
         return cls.estimator(identifier_of(scenarios, cls), SampleParameters.of(scenarios))
 
     @classmethod
-    def estimator(cls, own: Sequence[Self], parameters: SampleParameters) -> Identification:
+    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> Identification:
         """The estimator for ``n`` runs with the settings ``own``."""
         raise NotImplementedError

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiltestbed.compensation.blocks import make_drive
+from hiltestbed import build
 from hiltestbed.compensation.input import InputDeadZone, InputParameters
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.phases import closes, latch_limits
 from hiltestbed.frames import Array
-from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.numerical_model.kernels import place_at_start
 from hiltestbed.numerical_model.model import NumericalModel
@@ -96,13 +95,9 @@ def replay_compensation(
     rows, n = readings.shape[1], len(run)
     pose, twist = _reached(scenarios, records, run, rows)
     model = _model(scenarios, records, run)
-    drive = make_drive(scenarios, model)
+    drive = build.drive(scenarios, model)
     dead_zone = InputDeadZone(inputs)
-    estimate = (
-        IDENTIFIERS[scenarios[0].identification.kind].start(scenarios)
-        if "identified" in _reads(scenarios[0])
-        else None
-    )
+    estimate = build.identification(scenarios) if "identified" in _reads(scenarios[0]) else None
     unknown = np.full((n, 6), np.nan)
     captured = np.array([s.mechanism.captured for s in scenarios])
     if estimate is not None:

@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiltestbed.build import motion_command
+from hiltestbed.build import identification, motion_command
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.frames import Array
-from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.plant import Plant
 from hiltestbed.replay.felt import slopes
@@ -109,9 +108,7 @@ def replay_rig(
     motion = motion_command([scenario])
     motion.start(start[None, 7:])
     estimate = (
-        IDENTIFIERS[scenario.identification.kind].start([scenario])
-        if "identified" in scenario.compensation.motion.reads
-        else None
+        identification([scenario]) if "identified" in scenario.compensation.motion.reads else None
     )
     unknown = np.full((1, 6), np.nan)
     measured_pose = plant.pose_act if reached is None else np.empty((1, 7))

@@ -19,7 +19,9 @@ from hiltestbed.analysis.assessment import (
 from hiltestbed.analysis.limits import in_cells
 from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.contact.directions import acting_along_z
+from hiltestbed.contact.law import Pair
 from hiltestbed.contact.sides import sides_of
+from hiltestbed.frames import Array
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.report.curves import PALETTE, POINTS, shade_contacts
@@ -27,7 +29,7 @@ from hiltestbed.report.page import Report, new_figure, provenance
 from hiltestbed.report.table import against
 from hiltestbed.run_folder.folders import number
 from hiltestbed.run_folder.result import Run
-from hiltestbed.scenario import Scenario
+from hiltestbed.scenario.limits import DockingLimits
 from hiltestbed.signals import RunTrace
 
 REPORT = "report.html"
@@ -50,13 +52,14 @@ def run_report(run: Run) -> Report:
     if run.trace is not None and len(run.trace.t):
         report.figure(_signals(run.trace), "Along the insertion. Shaded: in contact.")
     report.heading("Is the loop passive?")
-    report.text(_margin(run.scenario, summary))
+    report.text(_margin(acting_along_z(run.scenario), summary))
     if run.trace is not None and summary["contact_duration"] and len(run.trace.t) > 1:
         caption = "Energy that the rig has made so far. For a passive rig it is never above zero."
-        report.figure(_energy(run.trace, run.scenario, summary), caption)
+        made = energy_generated(run.trace, approach_state(run.scenario), run.scenario.tick)
+        report.figure(_energy(run.trace, made, summary.get("approach_energy")), caption)
     _ledger(report, summary)
-    _identified(report, run.scenario, summary)
-    _limits(report, run.scenario, summary)
+    _identified(report, run)
+    _limits(report, run.scenario.limits, summary)
     report.heading("What to do next")
     report.items(judged.advice or ("Nothing: no further action is needed.",))
     report.heading("How it was made")
@@ -68,8 +71,10 @@ def run_report(run: Run) -> Report:
     return report
 
 
-def _margin(scenario: Scenario, summary: dict[str, Any]) -> str:
-    """The energy balance in words, and the further delay up to which the loop is stable."""
+def _margin(contact: Pair, summary: dict[str, Any]) -> str:
+    """The energy balance of a ``contact`` in words, and the further delay up to which the loop is
+    stable.
+    """
     share = energy_share(summary)
     if not summary["contact_duration"]:
         return "Nothing touched, so the question does not arise."
@@ -84,7 +89,7 @@ def _margin(scenario: Scenario, summary: dict[str, Any]) -> str:
         )
         words.append(f"The rig {verdict}: {100.0 * share:+z.2f} % of the approach energy.")
     total = summary["delay_ledger"][-1]["delay"] if summary["delay_ledger"] else 0.0
-    (stiffness, damping), stability = acting_along_z(scenario), summary.get("stability")
+    (stiffness, damping), stability = contact, summary.get("stability")
     words.append(
         f"The remaining delays add up to {1e3 * total:+.3f} ms, equivalent to a damping of "
         f"{-stiffness * total:+.4g} N s/m."
@@ -129,33 +134,34 @@ def _ledger(report: Report, summary: dict[str, Any]) -> None:
     report.table(("source", "delay [ms]", "as damping [N s/m]"), rows, caption)
 
 
-def _limits(report: Report, scenario: Scenario, summary: dict[str, Any]) -> None:
+def _limits(report: Report, limits: DockingLimits | None, summary: dict[str, Any]) -> None:
     rows = [(*in_cells(row), number(row["share"], 3)) for row in summary.get("limits", ())]
-    if scenario.limits is None or not rows:
+    if limits is None or not rows:
         return
     report.heading("Against the limits")
     caption = "Share above 1: beyond the limit. Of a lowest value it is 2 less the share."
-    if scenario.limits.standard:
-        caption += f" Limits of {scenario.limits.standard}, and those of the scenario."
+    if limits.standard:
+        caption += f" Limits of {limits.standard}, and those of the scenario."
     report.table(("quantity", "value", "limit", "unit", "share"), rows, caption)
 
 
-def _identified(report: Report, scenario: Scenario, summary: dict[str, Any]) -> None:
-    rows = []
-    for axis, values in identified(summary).items():
+def _identified(report: Report, run: Run) -> None:
+    rows, found = [], identified(run.summary)
+    for axis, values in found.items():
         cells = [axis, *against(values, "stiffness"), *against(values, "damping")]
         rows.append([*cells, values["samples"]])
     report.heading("What was identified")
     if rows:
         header = ("axis", "k ± sd", "true", "error", "c ± sd", "true", "error", "samples")
         caption = "k in N/m (rx, ry, rz: N m/rad), c in N s/m (N m s/rad)."
-        report.table(header, rows, caption + NORMAL * ("normal" in identified(summary)))
+        report.table(header, rows, caption + NORMAL * ("normal" in found))
     else:
-        report.text(f"Neither stiffness nor damping was identified: {_why_not(scenario, summary)}.")
+        report.text(f"Neither stiffness nor damping was identified: {_why_not(run)}.")
 
 
-def _why_not(scenario: Scenario, summary: dict[str, Any]) -> str:
+def _why_not(run: Run) -> str:
     """Why nothing was identified on any axis or normal."""
+    scenario, summary = run.scenario, run.summary
     mechanism, lasted = scenario.mechanism, summary["contact_duration"]
     if scenario.identification.kind == "none":
         return "identification is none"
@@ -225,16 +231,16 @@ def _span(trace: RunTrace) -> tuple[float, float]:
     return start, end
 
 
-def _energy(trace: RunTrace, scenario: Scenario, summary: dict[str, Any]):
-    """Energy that the rig made so far: work on the contact minus work of the numerical model."""
-    made = energy_generated(trace, approach_state(scenario), scenario.tick)
+def _energy(trace: RunTrace, made: Array, approach: float | None):
+    """Energy that the rig had ``made`` (ticks,) [J]: work on the contact minus work of the
+    numerical model; ``approach``: the energy of the approach [J].
+    """
     rows = _shown(trace)
     figure, axis = new_figure(9.0, 2.6)
     shade_contacts(axis, trace.t, trace.contact)
     color = PALETTE[1] if made[-1] > 0.0 else PALETTE[0]
     axis.plot(trace.t[rows], 1e3 * made[rows], color=color, linewidth=1.5)
     axis.axhline(0.0, color="#5b6b7a", linewidth=0.8)
-    approach = summary.get("approach_energy")
     if approach and float(np.abs(made).max()) > 0.2 * CLOSE * approach:
         ways = (lambda mj: 0.1 * mj / approach, lambda share: 10.0 * share * approach)
         second = axis.secondary_yaxis("right", functions=ways)

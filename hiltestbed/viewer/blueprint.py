@@ -13,8 +13,8 @@ import rerun.blueprint as rrb
 from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.platform.settings import Rig
 from hiltestbed.run_folder.result import Run
-from hiltestbed.scenario import Scenario
 from hiltestbed.signals import AXES, RunTrace
 from hiltestbed.viewer import plots, rig, spacecraft
 
@@ -91,7 +91,7 @@ def layout(facts: ShownRun) -> rrb.Blueprint:
 
 def _scenes(facts: ShownRun) -> rrb.Vertical:
     return rrb.Vertical(
-        rig_view(facts.run.scenario, "The rig", facts.force_scale),
+        rig_view(facts.run.scenario.rig, "The rig", facts.force_scale),
         rrb.Horizontal(
             _scene("At the contact", rig.AT_P, *CLOSE, contents=[f"/{rig.ROOT}/**"]),
             _spacecraft(facts),
@@ -100,16 +100,16 @@ def _scenes(facts: ShownRun) -> rrb.Vertical:
     )
 
 
-def rig_view(scenario: Scenario, name: str, force_scale: float) -> rrb.Spatial3DView:
+def rig_view(own: Rig, name: str, force_scale: float) -> rrb.Spatial3DView:
     """The rig from between the columns of its frame; ``force_scale`` [m/N] of the arrow."""
-    eye, target = NINE_AXES if scenario.rig.upper.kind != "fixed" else SIX_AXES
+    eye, target = NINE_AXES if own.upper.kind != "fixed" else SIX_AXES
     contents = [f"/{rig.ROOT}/**", *(f"- /{name}" for name in rig.PORT_NAMES)]
     title = f"{name} (force arrow: 1 m is {1.0 / force_scale:g} N)"
     return _scene(title, rig.ROOT, eye, target, contents)
 
 
 def _spacecraft(facts: ShownRun) -> rrb.Spatial3DView:
-    up, down = spacecraft.heights(facts.run.scenario)
+    up, down = spacecraft.heights(facts.run.scenario.spacecraft)
     down += facts.run.scenario.approach.gap
     middle, away = 0.5 * (up - down), 1.3 * (up + down)
     eye = (0.55 * away, -0.82 * away, middle + 0.18 * away)

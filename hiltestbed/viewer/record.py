@@ -10,6 +10,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from hiltestbed.analysis.assessment import assess, figures_of
+from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.run_folder.folders import number
 from hiltestbed.run_folder.result import Run
 from hiltestbed.signals import RunTrace
@@ -61,11 +62,12 @@ def _rig(
 
 
 def _spacecraft(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.intp]) -> None:
-    time = rr.TimeColumn("time", duration=trace.t[rows])
-    spacecraft.draw(rec, run.scenario)
-    poses = spacecraft.body_poses(run.scenario, rows, trace["pose_cmd"], trace["wrench_comp"])
-    scale = force_scale(_peak(trace), FORCE_PART * min(spacecraft.heights(run.scenario)))
-    spacecraft.move(rec, time, run.scenario, poses, trace["wrench_comp"][rows], scale)
+    time, craft = rr.TimeColumn("time", duration=trace.t[rows]), run.scenario.spacecraft
+    spacecraft.draw(rec, craft)
+    model = NumericalModel([run.scenario])
+    poses = spacecraft.body_poses(model, rows, trace["pose_cmd"], trace["wrench_comp"])
+    scale = force_scale(_peak(trace), FORCE_PART * min(spacecraft.heights(craft)))
+    spacecraft.move(rec, time, craft, poses, trace["wrench_comp"][rows], scale)
 
 
 def _peak(trace: RunTrace) -> float:

@@ -16,8 +16,7 @@ from hiltestbed.frames import Array, pose_between, pose_compose, rotation_matrix
 from hiltestbed.numerical_model.bodies import inertia_matrix, port_pose
 from hiltestbed.numerical_model.kernels import CHASER, TARGET
 from hiltestbed.numerical_model.model import NumericalModel
-from hiltestbed.scenario import Scenario
-from hiltestbed.scenario.spacecraft import Body
+from hiltestbed.scenario.spacecraft import Body, Spacecraft
 from hiltestbed.viewer import colors
 from hiltestbed.viewer.drawing import GLASS, log_solid, send_poses
 from hiltestbed.viewer.solids import Solid, along, box, cylinder
@@ -30,19 +29,21 @@ IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # a pose
 PANEL = (0.12, 0.20, 0.46, 1.0)
 
 
-def body_poses(scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, wrench: Array) -> Array:
+def body_poses(
+    model: NumericalModel, rows: NDArray[np.intp], pose_cmd: Array, wrench: Array
+) -> Array:
     """``(2, frames, 7)`` poses of chaser and target in the inertial frame, at the rows
-    ``(frames,)`` of the run.
+    ``(frames,)`` of the run of a ``model`` at its start, which is advanced.
 
     ``pose_cmd`` (ticks, 7) and the ``wrench`` (ticks, 6) that drove the numerical model: row k is
     the state after the wrench of row k.
     """
-    model = NumericalModel([scenario])
+    tick = model.tick
     total = np.concatenate([np.zeros((1, 6)), np.cumsum(wrench, axis=0)])
     out, done = np.empty((2, len(rows), 7)), 0
     for f, row in enumerate(rows):
         ticks = int(row) + 1 - done
-        model.tick = ticks / scenario.rate
+        model.tick = ticks * tick
         model.advance(((total[row + 1] - total[done]) / ticks)[None])
         done += ticks
         out[TARGET, f] = model.centres()[0, TARGET]
@@ -74,9 +75,8 @@ def cuboid(body: Body) -> tuple[Array, Array]:
     return np.sqrt(np.maximum(1.5 / body.mass * (moments.sum() - 2.0 * moments), 1e-4)), axes
 
 
-def heights(scenario: Scenario) -> tuple[float, float]:
+def heights(craft: Spacecraft) -> tuple[float, float]:
     """[m] extent of the target upward from its port, and of the chaser downward from its port."""
-    craft = scenario.spacecraft
     up, down = (
         float(np.linalg.norm(body.port.position) + cuboid(body)[0].max())
         for body in (craft.target, craft.chaser)
@@ -84,10 +84,10 @@ def heights(scenario: Scenario) -> tuple[float, float]:
     return up, down
 
 
-def draw(rec: rr.RecordingStream, scenario: Scenario) -> None:
+def draw(rec: rr.RecordingStream, craft: Spacecraft) -> None:
     """Both bodies as cuboids of equal mass and inertia, with a port on a boom and two panels."""
     rec.log(ROOT, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    for i, body in ((CHASER, scenario.spacecraft.chaser), (TARGET, scenario.spacecraft.target)):
+    for i, body in ((CHASER, craft.chaser), (TARGET, craft.target)):
         half, axes = cuboid(body)
         port, width = port_pose(body)[:3], 0.3 * float(half.min())
         glass = [
@@ -116,7 +116,7 @@ def _tube(start: Array, end: Array, radius: float, rgba: Array) -> Solid:
 def move(
     rec: rr.RecordingStream,
     time: rr.TimeColumn,
-    scenario: Scenario,
+    craft: Spacecraft,
     poses: Array,
     wrench: Array,
     scale: float,
@@ -127,14 +127,14 @@ def move(
     for i, name in NAMES.items():
         send_poses(rec, f"{ROOT}/{name}", time, poses[i])
     attitude = rotation_matrix(poses[TARGET, :, 3:])
-    port = port_pose(scenario.spacecraft.target)
+    port = port_pose(craft.target)
     origin = poses[TARGET, :, :3] + attitude @ port[:3]
     force = np.einsum("fij,fj->fi", attitude @ rotation_matrix(port[3:]), wrench[:, :3])
     acts = np.linalg.norm(force, axis=1) > 0.0
     vectors = scale * np.stack([force, -force], axis=1)[acts]
     origins = np.repeat(origin[acts, None], 2, axis=1)
     path = f"{ROOT}/force"
-    style = rr.Arrows3D.from_fields(colors=[colors.USED], radii=[0.01 * sum(heights(scenario))])
+    style = rr.Arrows3D.from_fields(colors=[colors.USED], radii=[0.01 * sum(heights(craft))])
     rec.log(path, style, static=True)
     columns = rr.Arrows3D.columns(vectors=vectors.reshape(-1, 3), origins=origins.reshape(-1, 3))
     rec.send_columns(path, indexes=[time], columns=columns.partition(2 * acts.astype(int)))

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from hiltestbed import build
 from hiltestbed.bench.contacts import ARM, BenchContact
 from hiltestbed.bench.contenders import Contender, contenders
 from hiltestbed.bench.hildock.problem import MASS, SPEED, START, TICK
-from hiltestbed.compensation.blocks import make_drive
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.resynchronised.drive import ResynchronisedDrive
 from hiltestbed.identification.settings import IDENTIFIERS
@@ -165,7 +165,7 @@ class Shipped:
         contact = BenchContact(1.0, delay, 0.05, changes=changes)
         runs = [contact.scenario(self._contender.force(UNREAD))]
         model = NumericalModel(runs)
-        self._drive = make_drive(runs, model)
+        self._drive = build.drive(runs, model)
         self._identification = IDENTIFIERS["rls"].start(runs)
         pose, twist = self._drive.pose, self._drive.twist
         estimate = self._identification

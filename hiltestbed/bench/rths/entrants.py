@@ -10,12 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import butter
 
+from hiltestbed import build
 from hiltestbed.bench.contacts import BenchContact
 from hiltestbed.bench.contenders import contenders
 from hiltestbed.bench.hildock.methods import UNREAD
 from hiltestbed.bench.rths.problem import TICK, Material, Method, RthsRecord, late
-from hiltestbed.build import motion_command
-from hiltestbed.compensation.blocks import make_drive
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import FORCE_METHODS
 from hiltestbed.frames import Array
@@ -109,8 +108,8 @@ class ShippedMethod:
             for d, s in zip(told.delay, settings, strict=True)
         ]
         runs = of_actuators * n
-        self._drive = make_drive(runs, NumericalModel(runs))
-        self._motion = motion_command(runs)
+        self._drive = build.drive(runs, NumericalModel(runs))
+        self._motion = build.motion_command(runs)
         self._pose, self._twist = np.tile(np.eye(7)[6], (2 * n, 1)), np.zeros((2 * n, 6))
         nothing, free = np.full((2 * n, 6), np.nan), np.zeros(2 * n, dtype=bool)
         self._read = Measurement(

@@ -213,7 +213,7 @@ def _layout(diagnosis: Conclusion, channels: list[str]) -> rrb.Blueprint:
         beside = words
     else:
         beside = rrb.Vertical(
-            rig_view(run.scenario, f"The rig in {run.name}, as measured", _scale(force)),
+            rig_view(run.scenario.rig, f"The rig in {run.name}, as measured", _scale(force)),
             words,
             row_shares=[1.2, 1.0],
         )

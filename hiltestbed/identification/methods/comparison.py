@@ -73,8 +73,8 @@ class Instrumental(ContactIdentifier):
     )
 
     @classmethod
-    def estimator(cls, own: Sequence[Self], parameters: SampleParameters) -> InstrumentVariables:
-        return InstrumentVariables(ContactSamples(parameters), np.array([o.lag for o in own]))
+    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> InstrumentVariables:
+        return InstrumentVariables(ContactSamples(given), np.array([o.lag for o in own]))
 
 
 class InstrumentVariables:
@@ -148,8 +148,8 @@ class HuntCrossley(ContactIdentifier):
     kind: Literal["hunt_crossley"] = "hunt_crossley"
 
     @classmethod
-    def estimator(cls, own: Sequence[Self], parameters: SampleParameters) -> HuntCrossleyFit:
-        return HuntCrossleyFit(ContactSamples(parameters))
+    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> HuntCrossleyFit:
+        return HuntCrossleyFit(ContactSamples(given))
 
 
 class HuntCrossleyFit:
@@ -222,8 +222,8 @@ class KalmanIdentifier(ContactIdentifier):
     )
 
     @classmethod
-    def estimator(cls, own: Sequence[Self], parameters: SampleParameters) -> AdaptiveKalman:
-        return AdaptiveKalman(ContactSamples(parameters), np.array([o.wander for o in own]))
+    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> AdaptiveKalman:
+        return AdaptiveKalman(ContactSamples(given), np.array([o.wander for o in own]))
 
 
 class _State(NamedTuple):

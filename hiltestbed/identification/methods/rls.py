@@ -42,8 +42,8 @@ class Rls(Recursive):
     )
 
     @classmethod
-    def estimator(cls, own: Sequence[Self], parameters: SampleParameters) -> RecursiveLeastSquares:
-        samples = ContactSamples(parameters, estimate=own[0].delay == "estimate")
+    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> RecursiveLeastSquares:
+        samples = ContactSamples(given, estimate=own[0].delay == "estimate")
         return RecursiveLeastSquares(samples, [o.forgetting for o in own])
 
 
@@ -56,8 +56,8 @@ class RlsRaw(Recursive):
     kind: Literal["rls_raw"] = "rls_raw"
 
     @classmethod
-    def estimator(cls, own: Sequence[Self], parameters: SampleParameters) -> RecursiveLeastSquares:
-        samples = ContactSamples(parameters, aligned=False)
+    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> RecursiveLeastSquares:
+        samples = ContactSamples(given, aligned=False)
         return RecursiveLeastSquares(samples, [o.forgetting for o in own])
 
 
@@ -78,10 +78,10 @@ class RlsLead(Recursive):
         return self.lag
 
     @classmethod
-    def estimator(cls, own: Sequence[Self], parameters: SampleParameters) -> RecursiveLeastSquares:
-        pairs = zip(parameters.sensors, own, strict=True)
-        lead = PhaseLeadBlock(parameters.rate, [(s.delay + o.lag, o.lag) for s, o in pairs])
-        samples = ContactSamples(parameters, aligned=False, lead=[o.lag for o in own])
+    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> RecursiveLeastSquares:
+        pairs = zip(given.sensors, own, strict=True)
+        lead = PhaseLeadBlock(given.rate, [(s.delay + o.lag, o.lag) for s, o in pairs])
+        samples = ContactSamples(given, aligned=False, lead=[o.lag for o in own])
         return RecursiveLeastSquares(samples, [o.forgetting for o in own], lead)
 
 
