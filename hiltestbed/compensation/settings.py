@@ -5,11 +5,24 @@ method.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    NamedTuple,
+    Self,
+    TypeVar,
+    get_args,
+)
 
+import numpy as np
 from pydantic import Field
 
 from hiltestbed.config.validation import Problem, Strictly
+from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.plugins import OneOf, Registry, placeholder
 
 if TYPE_CHECKING:
@@ -54,7 +67,16 @@ class ForceMethod(Strictly):
         """Name to the delay [s] that it removes from the loop at low frequency, once any contact
         model it needs is identified.
         """
-        return {self.kind: scenario.sensor.delay} if self.removes_delay else {}
+        from hiltestbed.contact.directions import acting_along_z
+
+        removed = self.removed(scenario.sensor.delay, acting_along_z(scenario)[0])
+        return {} if removed is None else {self.kind: removed}
+
+    def removed(self, delay: float, stiffness: float) -> float | None:
+        """The same [s] of a ``delay`` of the force [s] in a contact of ``stiffness`` [N/m] along
+        the insertion; None: it does not compensate.
+        """
+        return delay if self.removes_delay else None
 
     def memory(self) -> float:
         """The time constant [s] with which its output decays after a force has ended."""
@@ -113,6 +135,11 @@ class MotionMethod(Strictly):
     @classmethod
     def start(cls, scenarios: Sequence[ScenarioLike]) -> PoseBlock | None:
         """The method for ``n`` runs; None if the pose is commanded unchanged."""
+        return cls.block(motion_of(scenarios, cls), scenarios[0].rate)
+
+    @classmethod
+    def block(cls, own: Sequence[Self], rate: float) -> PoseBlock | None:
+        """The same from settings alone; ``rate`` of the loop [Hz]."""
         return None
 
 
@@ -147,6 +174,38 @@ def _all_of(method: type, sections: list[Any]) -> list[Any]:
     if other is not None:
         raise TypeError(f"settings of {method.__name__} expected (got {type(other).__name__})")
     return sections
+
+
+class ForcePath(NamedTuple):
+    """What the force methods of ``n`` runs depend on, beside their settings.
+
+    Attributes:
+        rate: of the loop [Hz]. delay: (n,) nominal, of the force [s]. mass: (n,) reduced mass of
+            the vehicles [kg]. captures: whether the mechanism captures. model: that is driven.
+    """
+
+    rate: float
+    delay: Array
+    mass: Array
+    captures: bool
+    model: NumericalModel
+
+
+class BlockMethod(ForceMethod):
+    """Base of the methods that correct the wrench and need no more than a :class:`ForcePath`."""
+
+    @classmethod
+    def start(cls, scenarios: Sequence[ScenarioLike], model: NumericalModel) -> ForceBlock:
+        delay = np.array([s.sensor.delay for s in scenarios])
+        mass = np.array([effective_mass(s) for s in scenarios])
+        captures = scenarios[0].mechanism.captures
+        path = ForcePath(scenarios[0].rate, delay, mass, captures, model)
+        return cls.block(force_of(scenarios, cls), path)
+
+    @classmethod
+    def block(cls, own: Sequence[Self], path: ForcePath) -> ForceBlock:
+        """The method for ``n`` runs with the settings ``own``."""
+        raise NotImplementedError
 
 
 # Its schema lists the methods, whose modules import this one: it is built when it is first used.

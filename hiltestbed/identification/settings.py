@@ -15,6 +15,7 @@ from hiltestbed.frames import Array
 from hiltestbed.plugins import OneOf, Registry, placeholder
 
 if TYPE_CHECKING:
+    from hiltestbed.identification.held import HeldPlace
     from hiltestbed.identification.samples import SampleParameters
     from hiltestbed.scenario.like import ScenarioLike
 
@@ -24,10 +25,12 @@ class SampleSource(Protocol):
 
     Attributes:
         captured: ``(n,)`` whether the mechanism is captured. steps: ``(n,)`` capture phases begun.
+        held: the latch's reference point.
     """
 
     captured: NDArray[np.bool_]
     steps: NDArray[np.int64]
+    held: HeldPlace
 
 
 class Identification(Protocol):
@@ -39,11 +42,12 @@ class Identification(Protocol):
         source: of its contact samples.
     """
 
-    source: SampleSource
-
     stiffness: Array
     damping: Array
     samples: Array
+
+    @property
+    def source(self) -> SampleSource: ...
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
         """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""

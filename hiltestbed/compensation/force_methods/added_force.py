@@ -37,22 +37,17 @@ order is ``(F(t) - F_meas) v ~ tau F_meas' v``.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar, Literal
+from collections.abc import Sequence
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
 
 from hiltestbed.compensation.interfaces import ForceBlock, KernelBlock
-from hiltestbed.compensation.settings import ForceMethod, Input, force_of
+from hiltestbed.compensation.settings import BlockMethod, ForcePath, Input
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative, Positive
-from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from hiltestbed.numerical_model.model import NumericalModel
-    from hiltestbed.scenario import Scenario
 
 STATE: tuple[Input, ...] = ("wrench", "pose", "twist")
 DAMPING_LIMIT = 0.5  # times the damping that would reverse the velocity within one tick
@@ -60,7 +55,7 @@ STEPS = 400  # time steps of the design model per radian of the contact's oscill
 
 
 @register
-class VirtualContact(ForceMethod):
+class VirtualContact(BlockMethod):
     """A virtual spring and damper along the insertion, added to the measured force."""
 
     kind: Literal["virtual_contact"] = "virtual_contact"
@@ -73,18 +68,14 @@ class VirtualContact(ForceMethod):
     reads: ClassVar[frozenset[Input]] = frozenset(STATE)
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
-        own = force_of(scenarios, cls)
+    def block(cls, own: Sequence[Self], path: ForcePath) -> ForceBlock:
         stiffness, damping = (
             np.array([getattr(f, name) for f in own]) for name in ("stiffness", "damping")
         )
         return KernelBlock(add_virtual, STATE, stiffness, damping)
 
-    def removes(self, scenario: Scenario) -> Mapping[str, float]:
-        from hiltestbed.contact.directions import acting_along_z
-
-        # a damper b is equivalent to a lead of b/k
-        return {self.kind: self.damping / acting_along_z(scenario)[0]}
+    def removed(self, delay: float, stiffness: float) -> float:
+        return self.damping / stiffness  # a damper b is equivalent to a lead of b/k
 
 
 @njit(cache=True)
@@ -102,7 +93,7 @@ def add_virtual(wrench, pose, twist, stiffness, damping, out):
 
 
 @register
-class CorDesigned(ForceMethod):
+class CorDesigned(BlockMethod):
     """A virtual damper along the insertion, designed for a desired coefficient of restitution."""
 
     kind: Literal["cor_designed"] = "cor_designed"
@@ -122,10 +113,10 @@ class CorDesigned(ForceMethod):
     removes_delay: ClassVar[bool] = True
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
-        own = zip(force_of(scenarios, cls), scenarios, strict=True)
-        damping = np.array([f.designed(effective_mass(s), s.sensor.delay) for f, s in own])
-        return KernelBlock(add_virtual, STATE, np.zeros(len(scenarios)), damping)
+    def block(cls, own: Sequence[Self], path: ForcePath) -> ForceBlock:
+        contacts = zip(own, path.mass, path.delay, strict=True)
+        damping = np.array([force.designed(mass, delay) for force, mass, delay in contacts])
+        return KernelBlock(add_virtual, STATE, np.zeros(len(own)), damping)
 
     def designed(self, mass: float, delay: float) -> float:
         """The damper [N s/m] that gives the design contact of a reduced ``mass`` [kg] the desired e
@@ -166,7 +157,7 @@ def bounce(z, turn, extra):
 
 
 @register
-class PassivityControl(ForceMethod):
+class PassivityControl(BlockMethod):
     """Time-domain passivity observer and controller: damping is injected once the contact has
     returned more energy than it took.
     """
@@ -176,15 +167,16 @@ class PassivityControl(ForceMethod):
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "model"})
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
+    def block(cls, own: Sequence[Self], path: ForcePath) -> ForceBlock:
+        model = path.model
         limit = DAMPING_LIMIT / (model.tick * (1.0 / model.mass).sum(axis=1))
-        energy = np.zeros(len(scenarios))  # [J] taken from the relative motion, damping included
+        energy = np.zeros(len(own))  # [J] taken from the relative motion, damping included
         given = (model.twist, model.tick, limit, energy)
         return KernelBlock(_observe_and_control, ("wrench",), *given)
 
 
 @register
-class NormalisedPassivity(ForceMethod):
+class NormalisedPassivity(BlockMethod):
     """Normalised passivity control: a damping force proportional to the normalised power that the
     delay generates.
     """
@@ -202,13 +194,12 @@ class NormalisedPassivity(ForceMethod):
     removes_delay: ClassVar[bool] = True
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
-        h, own = model.tick, force_of(scenarios, cls)
+    def block(cls, own: Sequence[Self], path: ForcePath) -> ForceBlock:
+        h = path.model.tick
         gain = np.array([f.gain for f in own])
         smooth = np.array([1.0 - math.exp(-h / f.smoothing) for f in own])
-        ticks = np.array([s.sensor.delay for s in scenarios]) / h
         # last force, its smoothed derivative times the delay, smoothed power, smoothed |F v|
-        given = (model.twist, gain, smooth, ticks, np.zeros((len(scenarios), 4)))
+        given = (path.model.twist, gain, smooth, path.delay / h, np.zeros((len(own), 4)))
         return KernelBlock(_normalise, ("wrench", "pose"), *given)
 
 

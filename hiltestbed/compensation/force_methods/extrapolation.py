@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -39,19 +39,15 @@ from pydantic import Field
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.interfaces import ForceBlock, KernelBlock
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.settings import ForceMethod, Input, force_of
+from hiltestbed.compensation.settings import BlockMethod, ForcePath, Input
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import Positive
 from hiltestbed.frames import Array
 from hiltestbed.plugins import register
 
-if TYPE_CHECKING:
-    from hiltestbed.numerical_model.model import NumericalModel
-    from hiltestbed.scenario import Scenario
-
 
 @register
-class Polynomial(ForceMethod):
+class Polynomial(BlockMethod):
     """Polynomial extrapolation of the measured wrench over the delay, through samples spaced one
     delay apart.
     """
@@ -64,9 +60,8 @@ class Polynomial(ForceMethod):
     removes_delay: ClassVar[bool] = True
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
-        ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
-        return PolynomialBlock(ticks, [force.order for force in force_of(scenarios, cls)])
+    def block(cls, own: Sequence[Self], path: ForcePath) -> ForceBlock:
+        return PolynomialBlock(path.delay * path.rate, [force.order for force in own])
 
 
 class PolynomialBlock:
@@ -96,7 +91,7 @@ class PolynomialBlock:
 
 
 @register
-class Kalman(ForceMethod):
+class Kalman(BlockMethod):
     """Kalman predictor: force, slope and curvature of each axis, estimated in white noise and
     extrapolated over the delay.
     """
@@ -109,13 +104,11 @@ class Kalman(ForceMethod):
     removes_delay: ClassVar[bool] = True
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
-        n, h = len(scenarios), 1.0 / scenarios[0].rate
-        own = force_of(scenarios, cls)
+    def block(cls, own: Sequence[Self], path: ForcePath) -> ForceBlock:
+        h = 1.0 / path.rate
         gain = np.array([steady_gain(2.0 * math.pi * force.bandwidth, h) for force in own])
-        delay = np.array([s.sensor.delay for s in scenarios])
         # force, slope [1/s], curvature [1/s^2]
-        return KernelBlock(_predict, ("wrench",), gain, delay, h, np.zeros((n, 6, 3)))
+        return KernelBlock(_predict, ("wrench",), gain, path.delay, h, np.zeros((len(own), 6, 3)))
 
     def memory(self) -> float:
         return 1.0 / (2.0 * math.pi * self.bandwidth)

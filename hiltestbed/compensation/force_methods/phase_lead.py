@@ -21,30 +21,25 @@ derivative of a measured force is dominated by noise (ibid.): white noise is amp
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar, Literal
+from collections.abc import Sequence
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
 
 from hiltestbed.compensation.interfaces import ForceBlock, KernelBlock
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.settings import ForceMethod, Input, force_of
+from hiltestbed.compensation.settings import BlockMethod, ForcePath, Input
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.frames import Array
 from hiltestbed.plugins import register
 
-if TYPE_CHECKING:
-    from hiltestbed.numerical_model.model import NumericalModel
-    from hiltestbed.scenario import Scenario
-
-
 LAG = 0.0005  # [s] T2 where a method does not set it
 
 
-class WithLead(ForceMethod):
+class WithLead(BlockMethod):
     """A method that passes the force, or what it does not know better, through a phase lead."""
 
     lead: NotNegative | None = Field(
@@ -68,12 +63,11 @@ class PhaseLead(WithLead):
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
-        delay = np.array([s.sensor.delay for s in scenarios])
-        return lead_of(force_of(scenarios, cls), delay, scenarios[0].rate)
+    def block(cls, own: Sequence[Self], path: ForcePath) -> ForceBlock:
+        return lead_of(own, path)
 
-    def removes(self, scenario: Scenario) -> Mapping[str, float]:
-        return {self.kind: self.time_constants(scenario.sensor.delay)[0] - self.lag}
+    def removed(self, delay: float, stiffness: float) -> float:
+        return self.time_constants(delay)[0] - self.lag
 
 
 class PhaseLeadBlock:
@@ -100,9 +94,10 @@ class PhaseLeadBlock:
         return self.output
 
 
-def lead_of(own: Sequence[WithLead], delay: Array, rate: float) -> PhaseLeadBlock:
-    """The lead of the methods ``own`` for a ``delay`` (n,) of the force [s]; rate [Hz]."""
-    return PhaseLeadBlock(rate, [f.time_constants(d) for f, d in zip(own, delay, strict=True)])
+def lead_of(own: Sequence[WithLead], path: ForcePath) -> PhaseLeadBlock:
+    """The lead of the methods ``own``."""
+    pairs = zip(own, path.delay, strict=True)
+    return PhaseLeadBlock(path.rate, [force.time_constants(delay) for force, delay in pairs])
 
 
 @njit(cache=True)
@@ -115,7 +110,7 @@ def _lead(u, lead, lag, h, previous, y):
 
 
 @register
-class SecondOrderLead(ForceMethod):
+class SecondOrderLead(BlockMethod):
     """Second-order phase lead of the measured wrench: the second-order Taylor expansion of
     exp(delay s), over (T2 s + 1)^2.
     """
@@ -126,16 +121,15 @@ class SecondOrderLead(ForceMethod):
     removes_delay: ClassVar[bool] = True
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
-        n, h = len(scenarios), 1.0 / scenarios[0].rate
-        delay = np.array([s.sensor.delay for s in scenarios])
-        lag = np.array([force.lag for force in force_of(scenarios, cls)])
+    def block(cls, own: Sequence[Self], path: ForcePath) -> ForceBlock:
+        h, delay = 1.0 / path.rate, path.delay
+        lag = np.array([force.lag for force in own])
         first, second = delay + 2.0 * lag, 0.5 * delay**2 + 2.0 * delay * lag + lag**2
         a, b, c = lag / h, first / h, second / h**2
         up = np.stack([1.0 + b + c, -b - 2.0 * c, c], axis=1)
         down = np.stack([1.0 + 2.0 * lag / h + a**2, -2.0 * lag / h - 2.0 * a**2, a**2], axis=1)
         # the last two inputs, the last two outputs
-        return KernelBlock(_lead_twice, ("wrench",), up, down, np.zeros((n, 6, 4)))
+        return KernelBlock(_lead_twice, ("wrench",), up, down, np.zeros((len(own), 6, 4)))
 
     def memory(self) -> float:
         return self.lag

@@ -3,32 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
 
 from hiltestbed.compensation.interfaces import ForceBlock, KernelBlock
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.settings import ForceMethod, Input, force_of
+from hiltestbed.compensation.settings import BlockMethod, ForcePath, Input
 from hiltestbed.config.validation import NotNegative
 from hiltestbed.frames import Array
 from hiltestbed.plugins import register
 
-if TYPE_CHECKING:
-    from hiltestbed.numerical_model.model import NumericalModel
-    from hiltestbed.scenario import Scenario
-
 
 @register
-class NoForceCompensation(ForceMethod):
+class NoForceCompensation(BlockMethod):
     """No compensation: the measured wrench drives the numerical model unchanged."""
 
     kind: Literal["none"] = "none"
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
+    def block(cls, own: Sequence[Self], path: ForcePath) -> ForceBlock:
         return UncompensatedBlock()
 
 
@@ -41,7 +37,7 @@ class UncompensatedBlock:
 
 
 @register
-class DeadZone(ForceMethod):
+class DeadZone(BlockMethod):
     """A dead zone: a measured force below the width is taken as zero. It does not compensate the
     delay.
 
@@ -55,8 +51,8 @@ class DeadZone(ForceMethod):
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock:
-        width = np.array([[force.width] for force in force_of(scenarios, cls)])
+    def block(cls, own: Sequence[Self], path: ForcePath) -> ForceBlock:
+        width = np.array([[force.width] for force in own])
         return KernelBlock(_without_small, ("wrench",), width)
 
 

@@ -21,8 +21,8 @@ instant of touch is not needed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar, Literal
+from collections.abc import Sequence
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -30,16 +30,12 @@ from pydantic import Field
 from hiltestbed.compensation.force_methods.phase_lead import LAG, PhaseLeadBlock, WithLead, lead_of
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.settings import Input, force_of
+from hiltestbed.compensation.settings import ForcePath, Input
 from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.frames import Array
 from hiltestbed.identification.held import UNTURNED, add_moment, referred
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from hiltestbed.numerical_model.model import NumericalModel
-    from hiltestbed.scenario import Scenario
 
 
 @register
@@ -55,11 +51,9 @@ class Reconstruction(WithLead):
     removes_delay: ClassVar[bool] = True
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ReconstructionBlock:
-        delay, rate = np.array([s.sensor.delay for s in scenarios]), scenarios[0].rate
-        lead = lead_of(force_of(scenarios, cls), delay, rate)
-        captured = CapturedContact(delay, rate) if scenarios[0].mechanism.captures else None
-        return ReconstructionBlock(lead, delay * rate, captured)
+    def block(cls, own: Sequence[Self], path: ForcePath) -> ReconstructionBlock:
+        captured = CapturedContact(path.delay, path.rate) if path.captures else None
+        return ReconstructionBlock(lead_of(own, path), path.delay * path.rate, captured)
 
 
 @register
@@ -81,17 +75,13 @@ class SmithPredictor(WithLead):
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist"})
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> SmithPredictorBlock:
-        delay, rate = np.array([s.sensor.delay for s in scenarios]), scenarios[0].rate
-        own = force_of(scenarios, cls)
+    def block(cls, own: Sequence[Self], path: ForcePath) -> SmithPredictorBlock:
         spring = np.array([(f.stiffness, f.damping) for f in own]).T.copy()
-        lead = lead_of(own, delay, rate) if own[0].lead_rest else None
-        return SmithPredictorBlock(spring, delay * rate, lead)
+        lead = lead_of(own, path) if own[0].lead_rest else None
+        return SmithPredictorBlock(spring, path.delay * path.rate, lead)
 
-    def removes(self, scenario: Scenario) -> Mapping[str, float]:
-        from hiltestbed.contact.directions import acting_along_z
-
-        return {self.kind: scenario.sensor.delay * self.stiffness / acting_along_z(scenario)[0]}
+    def removed(self, delay: float, stiffness: float) -> float:
+        return delay * self.stiffness / stiffness
 
 
 class ReconstructionBlock:

@@ -18,21 +18,18 @@ does not yield until k is identified.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
 
 from hiltestbed.compensation.interfaces import Derivatives
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.settings import Input, MotionMethod, motion_of
+from hiltestbed.compensation.settings import Input, MotionMethod
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import Positive
 from hiltestbed.frames import Array
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
 
 AXIAL = 2
 AIM = 0.95  # of the limit: the margin covers the error of the identified k
@@ -53,10 +50,9 @@ class Admittance(MotionMethod):
     feeds: ClassVar[bool] = True
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario]) -> AdmittanceBlock:
-        own = motion_of(scenarios, cls)
+    def block(cls, own: Sequence[Self], rate: float) -> AdmittanceBlock:
         limits, speeds = np.array([m.limit for m in own]), np.array([m.speed for m in own])
-        return AdmittanceBlock(1.0 / scenarios[0].rate, limits, speeds)
+        return AdmittanceBlock(1.0 / rate, limits, speeds)
 
 
 class AdmittanceBlock:

@@ -27,21 +27,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
 
 from hiltestbed.compensation.interfaces import Derivatives, PoseBlock
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.settings import Input, MotionMethod, motion_of
+from hiltestbed.compensation.settings import Input, MotionMethod
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
 
 BOUNDS = np.array([[0.9, 1.1], [0.0, 0.05], [0.0, 1e-3]])  # of a0, a1 [s], a2 [s^2]
 # [-], [1/s], [1/s^2]: make the columns of similar size at a few Hz
@@ -92,8 +89,8 @@ class InverseModel(MotionMethod):
     reads: ClassVar[frozenset[Input]] = frozenset()
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario]) -> PoseBlock:
-        return Inverse(np.array([m.coefficients() for m in motion_of(scenarios, cls)]))
+    def block(cls, own: Sequence[Self], rate: float) -> PoseBlock:
+        return Inverse(np.array([m.coefficients() for m in own]))
 
     def coefficients(self) -> tuple[float, float, float, float]:
         """1, a1 [s], a2 [s^2], a3 [s^3]."""
@@ -118,8 +115,8 @@ class AdaptiveTimeSeries(MotionMethod):
     reads: ClassVar[frozenset[Input]] = frozenset({"pose"})
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario]) -> PoseBlock:
-        own, tick = motion_of(scenarios, cls), 1.0 / scenarios[0].rate
+    def block(cls, own: Sequence[Self], rate: float) -> PoseBlock:
+        tick = 1.0 / rate
         start = np.array([[1.0, m.delay, 0.25 * m.delay**2, 0.0] for m in own])
         return AdaptiveInverse(start, tick, np.array([math.exp(-tick / m.window) for m in own]))
 
