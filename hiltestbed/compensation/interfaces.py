@@ -11,12 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.frames import Array
+
+if TYPE_CHECKING:
+    from hiltestbed.numerical_model.model import NumericalModel
 
 # ``(n, 6)`` each: velocity at t_(k+1), acceleration and jerk over the tick
 Derivatives = tuple[Array, Array, Array]
@@ -28,6 +31,21 @@ class ForceBlock(Protocol):
     def compensate(self, measurement: Measurement) -> Array:
         """``(n, 6)`` the wrench that drives the numerical model."""
         ...
+
+
+class ForcePath(NamedTuple):
+    """What the force methods of ``n`` runs depend on, beside their settings.
+
+    Attributes:
+        rate: of the loop [Hz]. delay: (n,) nominal, of the force [s]. mass: (n,) reduced mass of
+            the vehicles [kg]. captures: whether the mechanism captures. model: that is driven.
+    """
+
+    rate: float
+    delay: Array
+    mass: Array
+    captures: bool
+    model: NumericalModel
 
 
 class KernelBlock:

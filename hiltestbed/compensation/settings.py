@@ -5,28 +5,17 @@ method.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    ClassVar,
-    Literal,
-    NamedTuple,
-    Self,
-    TypeVar,
-    get_args,
-)
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args
 
 import numpy as np
 from pydantic import Field
 
+from hiltestbed.compensation.interfaces import Drive, ForceBlock, ForcePath, PoseBlock
 from hiltestbed.config.validation import Problem, Strictly
-from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.plugins import OneOf, Registry, placeholder
 
 if TYPE_CHECKING:
-    from hiltestbed.compensation.interfaces import Drive, ForceBlock, PoseBlock
     from hiltestbed.numerical_model.model import NumericalModel
     from hiltestbed.scenario.like import ScenarioLike
 
@@ -174,21 +163,6 @@ def _all_of(method: type, sections: list[Any]) -> list[Any]:
     if other is not None:
         raise TypeError(f"settings of {method.__name__} expected (got {type(other).__name__})")
     return sections
-
-
-class ForcePath(NamedTuple):
-    """What the force methods of ``n`` runs depend on, beside their settings.
-
-    Attributes:
-        rate: of the loop [Hz]. delay: (n,) nominal, of the force [s]. mass: (n,) reduced mass of
-            the vehicles [kg]. captures: whether the mechanism captures. model: that is driven.
-    """
-
-    rate: float
-    delay: Array
-    mass: Array
-    captures: bool
-    model: NumericalModel
 
 
 class BlockMethod(ForceMethod):

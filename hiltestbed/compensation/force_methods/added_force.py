@@ -43,8 +43,8 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field
 
-from hiltestbed.compensation.interfaces import ForceBlock, KernelBlock
-from hiltestbed.compensation.settings import BlockMethod, ForcePath, Input
+from hiltestbed.compensation.interfaces import ForceBlock, ForcePath, KernelBlock
+from hiltestbed.compensation.settings import BlockMethod, Input
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.plugins import register

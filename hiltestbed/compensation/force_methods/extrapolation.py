@@ -37,9 +37,9 @@ import numpy as np
 from pydantic import Field
 
 from hiltestbed.compensation.history import History
-from hiltestbed.compensation.interfaces import ForceBlock, KernelBlock
+from hiltestbed.compensation.interfaces import ForceBlock, ForcePath, KernelBlock
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.settings import BlockMethod, ForcePath, Input
+from hiltestbed.compensation.settings import BlockMethod, Input
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import Positive
 from hiltestbed.frames import Array

@@ -8,9 +8,9 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field
 
-from hiltestbed.compensation.interfaces import ForceBlock, KernelBlock
+from hiltestbed.compensation.interfaces import ForceBlock, ForcePath, KernelBlock
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.settings import BlockMethod, ForcePath, Input
+from hiltestbed.compensation.settings import BlockMethod, Input
 from hiltestbed.config.validation import NotNegative
 from hiltestbed.frames import Array
 from hiltestbed.plugins import register

@@ -29,8 +29,9 @@ from pydantic import Field
 
 from hiltestbed.compensation.force_methods.phase_lead import LAG, PhaseLeadBlock, WithLead, lead_of
 from hiltestbed.compensation.history import History
+from hiltestbed.compensation.interfaces import ForcePath
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.settings import ForcePath, Input
+from hiltestbed.compensation.settings import Input
 from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.frames import Array
