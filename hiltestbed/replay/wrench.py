@@ -61,12 +61,12 @@ def replay_wrench(felt: Felt | Simulated, lanes: Sequence[Lane], grid: int | Non
     else:
         parts = np.ones((len(lanes), 2))
         parts[:, 0] = np.where(whole, 1.0, 1.0 - (ticks - np.floor(ticks)))
-    chain = stack([lane.sensor for lane in lanes], h / max(instants, 1))
-    if chain.tone.shape[1]:
+    elements = stack([lane.sensor for lane in lanes], h / max(instants, 1))
+    elements.step[:] = 0.0
+    if elements.tone.shape[1]:
         # a tone continues until it is read again
-        chain.tone[:, :, 4] -= 2.0 * math.pi * chain.tone[:, :, 3] * again[:, None]
+        elements.tone[:, :, 4] -= 2.0 * math.pi * elements.tone[:, :, 3] * again[:, None]
     out = np.empty((len(lanes), felt.poses.shape[1], 6))
-    elements = chain.elements()._replace(step=np.zeros_like(chain.step))
     between = bool(instants)
     # lanes that differ only in their sensor share the contact wrench
     sharing: dict[ContactKey, list[int]] = {}

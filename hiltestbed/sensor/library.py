@@ -92,7 +92,7 @@ class ForceSensor:
     @property
     def delay(self) -> float:
         """[s] pure delay, without filters."""
-        return float(self._sensor.numbers.delay[0])
+        return self._parameters.delay
 
     def __call__(self, wrench: Array) -> Array:
         """The reading (6,) now, for the wrench (6,) now; with ``substeps``, (substeps, 6) at the

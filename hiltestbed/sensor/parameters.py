@@ -99,51 +99,23 @@ class SensorParameters:
 
 
 class Elements(NamedTuple):
-    """The elements after the delay, in the order of ``condition``'s arguments."""
-
-    calibration: Array
-    curve: Array
-    lag: Array
-    leak: Array
-    offset: Array
-    drift: Array
-    tone: Array
-    deadzone: Array
-    limit: Array
-    step: Array
-
-
-@dataclass(frozen=True)
-class Chain:
-    """The parameters of n sensors as arrays for the kernels, with the run as leading axis.
-
-    Attributes:
-        delay, jitter: (n,). calibration: (n, 6, 6). curve: (n, 6, 1 + 2K) packed. lag, leak: (n,
-            S, 2) weights of the filters per step, see :mod:`hiltestbed.sensor.chain`.
-        offset, drift: (n, 6). tone: (n, H, 5).
-        deadzone, limit, step, noise: (n, 6).
+    """The elements after the delay of n sensors as arrays for the kernels, with the run as leading
+    axis.
     """
 
-    delay: Array
-    jitter: Array
-    calibration: Array
-    curve: Array
-    lag: Array
-    leak: Array
-    offset: Array
+    calibration: Array  # (n, 6, 6)
+    curve: Array  # (n, 6, 1 + 2K) packed
+    lag: Array  # (n, S, 2) weights of the filters per step, see :mod:`hiltestbed.sensor.chain`
+    leak: Array  # (n, S, 2)
+    offset: Array  # (n, 6) like all that follow, but for the tones
     drift: Array
-    tone: Array
+    tone: Array  # (n, H, 5)
     deadzone: Array
     limit: Array
     step: Array
-    noise: Array
-
-    def elements(self) -> Elements:
-        """Those after the delay."""
-        return Elements(*(getattr(self, name) for name in Elements._fields))
 
 
-def stack(sensors: Sequence[SensorParameters], step: float) -> Chain:
+def stack(sensors: Sequence[SensorParameters], step: float) -> Elements:
     """Stack several sensors, whose filters see the wrench at instants ``step`` [s] apart; shorter
     lists of filters and tones are padded with inactive elements.
     """
@@ -156,9 +128,7 @@ def stack(sensors: Sequence[SensorParameters], step: float) -> Chain:
         return np.array([getattr(p, name) for p in sensors], dtype=float)
 
     knots = max(len(curve) for p in sensors for curve in p.curve)
-    return Chain(
-        delay=rows("delay"),
-        jitter=rows("jitter"),
+    return Elements(
         calibration=rows("calibration"),
         curve=np.array([[packed(curve, knots) for curve in p.curve] for p in sensors]),
         lag=low_pass(filled([p.lag for p in sensors], 0.0), step),
@@ -169,5 +139,4 @@ def stack(sensors: Sequence[SensorParameters], step: float) -> Chain:
         deadzone=rows("deadzone"),
         limit=rows("limit"),
         step=rows("step"),
-        noise=rows("noise"),
     )

@@ -43,7 +43,7 @@ class Sensors:
     """The sensors of `n` runs.
 
     Attributes:
-        numbers: of each element. reading: (n, 6) the last reading [N, N m].
+        reading: (n, 6) the last reading [N, N m].
         ring: (n, L, 6) the last L physical wrenches, instant j at slot j modulo L.
         late: (n,) whether a run's delay is never shorter than a physics step: its reading at t_k
             then does not need the wrench at t_k.
@@ -59,29 +59,26 @@ class Sensors:
         """Sensors with ``parameters``, read every ``tick`` [s] of so many ``substeps`` of the
         physics; ``rngs``: one per run, so that random numbers do not depend on the batch.
         """
-        n = len(parameters)
-        self.tick, self.substeps = tick, substeps
-        physics_step = tick / substeps
-        self.numbers = stack(parameters, physics_step)
-        stages = max(self.numbers.lag.shape[1], self.numbers.leak.shape[1])
+        n, self.substeps, physics_step = len(parameters), substeps, tick / substeps
+        elements = stack(parameters, physics_step)
+        stages = max(elements.lag.shape[1], elements.leak.shape[1])
         memory, self.reading = np.zeros((n, stages, MEMORY, 6)), np.zeros((n, 6))
-        delay, jitter = self.numbers.delay, self.numbers.jitter
+        delay, jitter = (np.array([getattr(p, k) for p in parameters]) for k in ("delay", "jitter"))
         longest = float(np.max(delay + JITTER_CLIP * jitter))
-        self._delay_steps = delay / physics_step
-        self._jitter_steps = jitter / physics_step
-        self.late = self._delay_steps - JITTER_CLIP * self._jitter_steps > 1.0 - WHOLE
-        self.ring = np.zeros((n, math.ceil(longest / physics_step) + self.substeps + 2, 6))
+        steps, spread = delay / physics_step, jitter / physics_step
+        self.late = steps - JITTER_CLIP * spread > 1.0 - WHOLE
+        self.ring = np.zeros((n, math.ceil(longest / physics_step) + substeps + 2, 6))
         # separate streams: noise does not shift jitter, nor jitter noise
         self._streams = [rng.spawn(2) for rng in rngs]
         self._noise = np.zeros((n, BLOCK, 6))
         self._jitter = np.zeros((n, BLOCK))
-        self._noisy = np.flatnonzero(self.numbers.noise.any(axis=1))
+        self._level = np.array([p.noise for p in parameters])
+        self._noisy = np.flatnonzero(self._level.any(axis=1))
         self._jittery = np.flatnonzero(jitter)
         self._next_block = 0
-        arrived = np.zeros((n, self.substeps, 6))
-        late = _Delay(self.ring, self._delay_steps, self._jitter_steps, self._jitter, arrived)
-        chain = (self.numbers.elements(), memory, self.reading)
-        self._read = Call(_read, ..., self.tick, GIVEN, late, self._noise, *chain)
+        late = _Delay(self.ring, steps, spread, self._jitter, np.zeros((n, substeps, 6)))
+        chain = (self._noise, elements, memory, self.reading)
+        self._read = Call(_read, ..., tick, GIVEN, late, *chain)
 
     def read(self, k: int, wrench_sub: Array) -> Array:
         """The reading (n, 6) at t_k.
@@ -106,7 +103,7 @@ class Sensors:
         self._next_block += BLOCK
         for i in self._noisy:
             self._streams[i][0].standard_normal(out=self._noise[i])
-            self._noise[i] *= self.numbers.noise[i]
+            self._noise[i] *= self._level[i]
         for i in self._jittery:
             self._streams[i][1].standard_normal(out=self._jitter[i])
 
