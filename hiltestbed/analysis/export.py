@@ -29,6 +29,7 @@ from hiltestbed.effects import EFFECTS, Effect
 from hiltestbed.errors import InputError
 from hiltestbed.platform.effects.response import LAG_DAMPING
 from hiltestbed.scenario import Scenario
+from hiltestbed.scenario.spacecraft import Approach
 
 DIAGNOSIS, EXTENDED = "diagnosis.json", "extended.yaml"
 LIGHT = 1e-6  # [kg] of the active port, on which the sensor reads the force
@@ -111,7 +112,7 @@ def _rig(s: Scenario, head: Sequence[str]) -> Exported:
     said, unsaid, servo = [], [], []
     factors = {"k": 1.0, "c": 1.0}
     mass = {"chaser": s.spacecraft.chaser.mass, "target": s.spacecraft.target.mass}
-    turning = dict.fromkeys(mass, 1.0)
+    inertia = {b: [*getattr(s.spacecraft, b).inertia, 0.0, 0.0, 0.0][:6] for b in mass}
     ports = {b: list(getattr(s.spacecraft, b).port.position) for b in mass}
     friction, delay, limit = s.mechanism.contact.friction, s.sensor.delay, None
     for e in s.effects:
@@ -123,7 +124,7 @@ def _rig(s: Scenario, head: Sequence[str]) -> Exported:
         elif kind == "dynamics.mass":
             mass[p["body"]] *= p["factor"]
         elif kind == "dynamics.inertia":
-            turning[p["body"]] *= p["factor"]
+            inertia[p["body"]] = [p["factor"] * i for i in inertia[p["body"]]]
         elif kind == "dynamics.port_offset":
             moved = zip(ports[p["body"]], p["offset"], strict=True)
             ports[p["body"]] = [a + b for a, b in moved]
@@ -152,7 +153,7 @@ def _rig(s: Scenario, head: Sequence[str]) -> Exported:
         said += [f"platform: {text}" for text in platform.said]
         unsaid += [f"platform: {text}" for text in platform.unsaid]
     vehicles = [
-        _vehicle(name, s, mass[name], turning[name], ports[name], part)
+        _vehicle(name, mass[name], inertia[name], ports[name], part)
         for name, part in (("chaser", _ball()), ("target", _plate()))
     ]
     sections = {
@@ -161,7 +162,7 @@ def _rig(s: Scenario, head: Sequence[str]) -> Exported:
         "tendon": platform.tendons if platform else [],
         "actuator": platform.actuators if platform else [],
         "sensor": [_sensor(delay, limit, step), *([platform.sensor()] if platform else ())],
-        "keyframe": [_start(s, ports, 1 + len(platform.bodies) if platform else 0)],
+        "keyframe": [_start(s.approach, ports, 1 + len(platform.bodies) if platform else 0)],
     }
     option = f'<option timestep="{number(step)}" integrator="implicitfast" gravity="0 0 0"/>'
     return Exported(mjcf_text(option, sections, head, said, unsaid), tuple(said), tuple(unsaid))
@@ -197,11 +198,12 @@ def _nominal(s: Scenario) -> list[str]:
 
 
 def _vehicle(
-    name: str, s: Scenario, mass: float, turning: float, port: Sequence[float], part: str
+    name: str, mass: float, inertia: Sequence[float], port: Sequence[float], part: str
 ) -> str:
-    """A vehicle that floats, with its port at ``port`` [m] from its centre of mass."""
-    six = [*getattr(s.spacecraft, name).inertia, 0.0, 0.0, 0.0][:6]
-    inertial = f'mass="{number(mass)}" fullinertia="{listed([turning * i for i in six])}"'
+    """A vehicle that floats, with its port at ``port`` [m] from its centre of mass; six moments
+    and products of ``inertia`` [kg m^2].
+    """
+    inertial = f'mass="{number(mass)}" fullinertia="{listed(inertia)}"'
     return (
         f'<body name="{name}"><freejoint/><inertial pos="0 0 0" {inertial}/>'
         f'<body name="{name}_port" pos="{listed(port)}">{part}</body></body>'
@@ -251,12 +253,12 @@ def _sensor(delay: float, limit: float | None, step: float) -> str:
     return f'<force name="wrench" site="A"{late}{cut}/>'
 
 
-def _start(s: Scenario, ports: dict[str, list[float]], joints: int) -> str:
+def _start(approach: Approach, ports: dict[str, list[float]], joints: int) -> str:
     """The approach: P at the origin, A before it; ``joints`` of the platform at zero."""
-    here = (*s.approach.offset, -s.approach.gap)
+    here = (*approach.offset, -approach.gap)
     chaser = [a - b for a, b in zip(here, ports["chaser"], strict=True)]
     upright, rest = [1.0, 0.0, 0.0, 0.0], [0.0] * joints
     target = [-x for x in ports["target"]]
     place = listed([*chaser, *upright, *target, *upright, *rest])
-    speed = listed([*s.approach.velocity, *[0.0] * 9, *rest])
+    speed = listed([*approach.velocity, *[0.0] * 9, *rest])
     return f'<key name="approach" qpos="{place}" qvel="{speed}"/>'

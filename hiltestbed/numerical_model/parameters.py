@@ -97,15 +97,6 @@ class Departures:
     late: np.ndarray
     explicit: np.ndarray
 
-    @property
-    def any(self) -> bool:
-        """Whether any model departs from the nominal one."""
-        same = np.all(self.mass == 1.0) and np.all(self.inertia == 1.0) and not self.port.any()
-        whole = not (
-            self.appendage.any() or self.force.size or self.late.any() or self.explicit.any()
-        )
-        return not (same and whole)
-
 
 def stack(models: Sequence[DynamicsParameters]) -> Departures:
     """Several models as arrays with the run as leading axis."""
