@@ -62,8 +62,8 @@ class ForceMethod(Strictly):
         return {} if removed is None else {self.kind: removed}
 
     def removed(self, delay: float, stiffness: float) -> float | None:
-        """The same [s] of a ``delay`` of the force [s] in a contact of ``stiffness`` [N/m] along
-        the insertion; None: it does not compensate.
+        """What it removes [s] of a ``delay`` of the force [s], in a contact of ``stiffness`` [N/m]
+        along the insertion; None: it does not compensate a delay.
         """
         return delay if self.removes_delay else None
 

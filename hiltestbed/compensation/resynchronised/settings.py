@@ -62,8 +62,8 @@ class Resynchronised(ForceMethod):
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ResynchronisedDrive:
+        from hiltestbed.compensation.force_methods.reconstruction import CapturedContact
         from hiltestbed.compensation.resynchronised.drive import (
-            CapturedContact,
             PredictionParameters,
             ResynchronisedDrive,
         )
