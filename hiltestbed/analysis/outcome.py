@@ -18,7 +18,6 @@ from hiltestbed.contact.composition import ACTIVE, PASSIVE
 from hiltestbed.contact.phases import Phases
 from hiltestbed.contact.settings import Mechanism
 from hiltestbed.frames import Array
-from hiltestbed.platform.plant import Plant
 
 LISTED = 64  # contacts whose start, end, impulse and peak are kept; all contacts are counted
 START, END, FX, FY, FZ, PEAK, COLUMNS = 0, 1, 2, 3, 4, 5, 6
@@ -144,6 +143,8 @@ class MovingParts:
 
     def __init__(self, plant: object) -> None:
         """``plant``: a :class:`Plant`; the parts of a real mechanism are not known."""
+        from hiltestbed.platform.plant import Plant  # a check needs none
+
         found = []
         if isinstance(plant, Plant):
             model = plant.model

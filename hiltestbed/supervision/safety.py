@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,8 +20,10 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.limbs import slider
 from hiltestbed.platform.facilities.pss33 import shipped_limbs
-from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario.safety import SafetyLimits
+
+if TYPE_CHECKING:
+    from hiltestbed.platform.plant import Plant
 
 LIMITS = {  # what is said beyond each, and its unit
     "stroke": ("a slider is {value:.4g} m from home", "m"),
