@@ -95,12 +95,12 @@ class ContactIdentifier(Identifier):
     """Base of the estimators that are made of their settings and of contact samples alone."""
 
     @classmethod
-    def start(cls, scenarios: Sequence[ScenarioLike]) -> Identification:
+    def start(cls, scenarios: Sequence[ScenarioLike]) -> Identification | None:
         from hiltestbed.identification.samples import SampleParameters
 
         return cls.estimator(identifier_of(scenarios, cls), SampleParameters.of(scenarios))
 
     @classmethod
-    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> Identification:
-        """The estimator for ``n`` runs with the settings ``own``."""
+    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> Identification | None:
+        """The estimator for ``n`` runs with the settings ``own``; None if nothing is estimated."""
         raise NotImplementedError

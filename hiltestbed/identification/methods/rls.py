@@ -5,7 +5,7 @@ lead; and no identification.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field
 
@@ -13,11 +13,8 @@ from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
 from hiltestbed.config.validation import Positive
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.identification.samples import ContactSamples, SampleParameters
-from hiltestbed.identification.settings import ContactIdentifier, Identifier
+from hiltestbed.identification.settings import ContactIdentifier
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario.like import ScenarioLike
 
 
 class Recursive(ContactIdentifier):
@@ -86,11 +83,11 @@ class RlsLead(Recursive):
 
 
 @register
-class NoIdentification(Identifier):
+class NoIdentification(ContactIdentifier):
     """Stiffness and damping are not estimated."""
 
     kind: Literal["none"] = "none"
 
     @classmethod
-    def start(cls, scenarios: Sequence[ScenarioLike]) -> None:
+    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> None:
         return None
