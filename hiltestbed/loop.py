@@ -26,7 +26,9 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.phases import Phases
 from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
-from hiltestbed.platform.plant import FreeMotion, Plant
+from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.platform.build import plant_of
+from hiltestbed.platform.plant import FreeMotion
 from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.sensor import Sensors
 from hiltestbed.signals import Trace
@@ -85,7 +87,7 @@ MakeSide = Callable[[Sequence[Scenario], int], Side]
 def simulated(scenarios: Sequence[Scenario], nthread: int) -> Side:
     """The simulated physical side."""
     sensor = Sensors(scenarios, [np.random.default_rng(s.seed) for s in scenarios])
-    return sensor, Plant(scenarios, nthread, late=sensor.late), Safety(scenarios)
+    return sensor, plant_of(scenarios, nthread, late=sensor.late), Safety(scenarios)
 
 
 class Loop:
@@ -118,7 +120,7 @@ class Loop:
         self.dead_zone = InputDeadZone(scenarios)
         self.model = scenarios[0].numerical_model.start(scenarios)
         self.drive: Drive = (
-            FreeMotion(scenarios, self.plant)
+            FreeMotion(np.array([approach_state(s.approach) for s in scenarios]), self.plant)
             if self.plant.physical
             else make_drive(scenarios, self.model)
         )

@@ -255,13 +255,15 @@ def energy_generated(trace: RunTrace, scenario: Scenario) -> Array:
     slope = np.zeros_like(trace["twist_act"])
     _slopes(trace["pose_act"], tick, slope)
     # for t_k, when the wrench is used
-    commanded = np.concatenate([approach_state(scenario)[None, :7], trace["pose_cmd"][:-1]])
+    commanded = np.concatenate(
+        [approach_state(scenario.approach)[None, :7], trace["pose_cmd"][:-1]]
+    )
     force, used = (
         _about_A(trace["wrench_true"], trace["pose_act"]),
         _about_A(trace["wrench_comp"], commanded),
     )
     rate = trace["twist_cmd"]
-    before = np.concatenate([approach_state(scenario)[None, 7:], rate[:-1]])
+    before = np.concatenate([approach_state(scenario.approach)[None, 7:], rate[:-1]])
     taken = np.zeros(len(trace.t))
     taken[1:] = np.einsum("ij,ij->i", force[1:] + force[:-1], slope[1:])
     return 0.5 * tick * np.cumsum(taken - np.einsum("ij,ij->i", used, rate + before))

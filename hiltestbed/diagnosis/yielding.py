@@ -72,14 +72,14 @@ def deflection(run: MeasuredRun, noise: float, engaged: Engaged | None = None) -
         return Deflection(nothing, nothing, nothing)
     touching, wrench = _load(run, _recorded(run), noise, engaged)
     told, taken = flat_pose(told_pose(run)), 0.0 if engaged is None else engaged.taken
-    path = _replayed(run, borne(scenario, wrench) + taken)
+    path = _replayed(run, borne(scenario.mechanism, scenario.tick, wrench) + taken)
     if path is None:
         return None
     away = path - told
     shown = flat_pose(run.record.data["pose_act"]) - told if run.record.has("pose_act") else away
     departure = np.nanmax(np.abs(shown - away), axis=0, initial=0.0)
     departure[:3], departure[3:] = departure[:3].max(), departure[3:].max()
-    unloaded = _replayed(run, borne(scenario, np.zeros_like(wrench)))
+    unloaded = _replayed(run, borne(scenario.mechanism, scenario.tick, np.zeros_like(wrench)))
     # the rest is the response to the command, which is known
     yielded = away if unloaded is None else path - unloaded
     rows = MAX_READING_SHIFT / scenario.tick
@@ -94,7 +94,9 @@ def deflection(run: MeasuredRun, noise: float, engaged: Engaged | None = None) -
         doubt[np.maximum.accumulate(told[:, 2] > -departure[2])] = np.inf
     # sliding parts reverse within a tick; stiction of the drives retains the effect
     if engaged is not None:
-        chattering = _replayed(run, borne(scenario, wrench) + taken, engaged.between)
+        chattering = _replayed(
+            run, borne(scenario.mechanism, scenario.tick, wrench) + taken, engaged.between
+        )
         if chattering is not None:
             kept = np.maximum.accumulate(np.abs(chattering - path), axis=0)
             doubt = np.hypot(doubt, alike * kept)
@@ -103,7 +105,7 @@ def deflection(run: MeasuredRun, noise: float, engaged: Engaged | None = None) -
     shaken = wrench.copy()
     error = noise * np.random.default_rng(0).standard_normal((len(wrench), 3))
     shaken[:, :3] += np.where(touching, error, 0.0)
-    noisy = _replayed(run, borne(scenario, shaken) + taken)
+    noisy = _replayed(run, borne(scenario.mechanism, scenario.tick, shaken) + taken)
     passed = np.zeros(6) if noisy is None else np.std(noisy - path, axis=0)
     # it is correlated for as long as the drives remember
     doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, 1.0 / band / scenario.tick)))
@@ -113,7 +115,7 @@ def deflection(run: MeasuredRun, noise: float, engaged: Engaged | None = None) -
 def yielded_under(run: MeasuredRun, found: Deflection, reading: Array, noise: float) -> Array:
     """`yielded` of a deflection that was ``found``, under another ``reading`` (N, 6)."""
     _, wrench = _load(run, reading, noise)
-    path = _replayed(run, borne(run.scenario, wrench))
+    path = _replayed(run, borne(run.scenario.mechanism, run.scenario.tick, wrench))
     if path is None:
         return found.yielded
     return path - flat_pose(told_pose(run)) - (found.away - found.yielded)
@@ -159,7 +161,9 @@ def _recorded(run: MeasuredRun) -> Array:
 
 def told_pose(run: MeasuredRun) -> Array:
     """(N, 7) the commanded pose one row later."""
-    return np.vstack([approach_state(run.scenario)[:7], run.record.filled("pose_cmd")[:-1]])
+    return np.vstack(
+        [approach_state(run.scenario.approach)[:7], run.record.filled("pose_cmd")[:-1]]
+    )
 
 
 def engagement(run: MeasuredRun) -> Engaged | None:

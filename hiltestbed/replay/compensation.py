@@ -13,7 +13,8 @@ from hiltestbed.compensation.blocks import make_drive
 from hiltestbed.compensation.input import InputDeadZone, InputParameters
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.phases import closes, latch_limits
+from hiltestbed.contact.parameters import latch_limits
+from hiltestbed.contact.phases import closes
 from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.numerical_model.bodies import approach_state
@@ -107,7 +108,7 @@ def replay_compensation(
     captured = np.array([s.mechanism.captured for s in scenarios])
     if estimate is not None:
         estimate.source.captured = captured
-    limits = latch_limits(scenarios)
+    limits = latch_limits(s.mechanism.latch for s in scenarios)
     reading, wrench = np.zeros((n, 6)), np.zeros((n, 6))
     measurement = Measurement(
         wrench,
@@ -150,7 +151,7 @@ def _model(
     twists = records.get("twist_cmd")
     if twists is None:
         starts = np.zeros((len(poses), 7))
-        starts[run] = [approach_state(s)[:7] for s in scenarios]
+        starts[run] = [approach_state(s.approach)[:7] for s in scenarios]
         twists = slopes(poses, starts, scenarios[0].tick)
     return RecordedModel(scenarios, poses, twists, run)
 
@@ -178,7 +179,7 @@ def _reached(
     if twists is None:
         twists = slopes(poses, poses[:, 0].copy(), scenarios[0].tick)
         starts = np.zeros((runs, 6))
-        starts[run] = [approach_state(s)[7:] for s in scenarios]
+        starts[run] = [approach_state(s.approach)[7:] for s in scenarios]
         twists[:, 0] = starts
     return poses, twists
 
@@ -188,7 +189,7 @@ def central_rates(scenario: Scenario, path: Array) -> Array:
     before and after.
     """
     before = slopes(path[None], path[None, 0], scenario.tick)[0]
-    before[0] = approach_state(scenario)[7:]
+    before[0] = approach_state(scenario.approach)[7:]
     return np.asarray(0.5 * (before + np.concatenate([before[1:], before[-1:]])))
 
 

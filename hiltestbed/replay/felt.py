@@ -15,8 +15,7 @@ import numpy as np
 from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.contact.geometry import Geometry, arm, unmet
 from hiltestbed.contact.mount_dynamics import MountDynamics
-from hiltestbed.contact.parameters import BLUNT, OFFSET, PARAMETERS
-from hiltestbed.contact.phases import latch_limits
+from hiltestbed.contact.parameters import BLUNT, OFFSET, PARAMETERS, latch_limits
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.wrench import meet_all
 from hiltestbed.frames import Array, pose_step, twist_between
@@ -106,15 +105,15 @@ class Felt:
         """The believed mechanism of the ``scenarios`` of R runs, with two rigid sides."""
         first, before = scenarios[0], np.empty((len(scenarios), 7))
         for s, path, start in zip(scenarios, poses, before, strict=True):
-            pose_step(path[0], approach_state(s)[7:], -s.tick, start)
+            pose_step(path[0], approach_state(s.approach)[7:], -s.tick, start)
         return cls(
             poses,
             before,
             first.tick,
             sides_of(first.mechanism).geometry,
             np.array([s.mechanism.captured for s in scenarios]),
-            latch_limits(scenarios),
-            MountDynamics.of(scenarios),
+            latch_limits(s.mechanism.latch for s in scenarios),
+            MountDynamics.of([s.mechanism for s in scenarios]),
             first.substeps,
             rates=rates,
             least_creep=(

@@ -68,7 +68,7 @@ class Departing:
     def __init__(self, scenarios: Sequence[Scenario], departures: Departures) -> None:
         bodies = [(s.spacecraft.chaser, s.spacecraft.target) for s in scenarios]
         self.departures, self.tick = departures, scenarios[0].tick
-        self.approach = np.array([approach_state(s) for s in scenarios])
+        self.approach = np.array([approach_state(s.approach) for s in scenarios])
         self.port = np.array([[port_pose(b) for b in pair] for pair in bodies])
         self.port[..., :3] += departures.port
         self.whole = np.array([[b.mass for b in pair] for pair in bodies]) * departures.mass

@@ -20,7 +20,7 @@ from hiltestbed.compensation.motion import MotionCommand
 from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.build import plant_of
 from hiltestbed.replay.felt import slopes
 
 if TYPE_CHECKING:
@@ -103,8 +103,8 @@ def replay_rig(
         reached: ``(N, 7)`` pose reached at t_k, as input of a motion compensation; None: the pose
             reached in this replay.
     """
-    start = approach_state(scenario)
-    plant = Plant([scenario], force=RecordedForce(wrench, scenario.substeps, between), held=True)
+    start = approach_state(scenario.approach)
+    plant = plant_of([scenario], force=RecordedForce(wrench, scenario.substeps, between), held=True)
     plant.reset(start[None, :7], start[None, 7:])
     motion = MotionCommand([scenario])
     motion.start(start[None, 7:])

@@ -24,9 +24,10 @@ from hiltestbed.effects.base import Effect
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array, pose_step, twist_between
 from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.platform.build import lockstep_key, plant_of
 from hiltestbed.platform.facilities.composed import BODY
 from hiltestbed.platform.kinds import PLATFORMS
-from hiltestbed.platform.plant import Plant, alike
+from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.settings import Rig
 from hiltestbed.replay.felt import Kept
 from hiltestbed.replay.flight import Flight, fly
@@ -75,7 +76,7 @@ class Simulated:
         uniformly within a tick.
         """
         self.poses, self._rates = poses, rates
-        self._start = np.array([approach_state(s)[7:] for s in scenarios])
+        self._start = np.array([approach_state(s.approach)[7:] for s in scenarios])
         self.tick, self.substeps = scenarios[0].tick, scenarios[0].substeps
         self.kept = Kept()
         self._carried = [_carried(s) for s in scenarios]
@@ -93,7 +94,7 @@ class Simulated:
         scenarios = [self._under(run, effects) for run, effects in wanted]
         groups: dict[Hashable, list[int]] = {}
         for i, scenario in enumerate(scenarios):
-            groups.setdefault(alike(scenario), []).append(i)
+            groups.setdefault(lockstep_key(scenario), []).append(i)
         out: dict[int, Array] = {}
         for members in groups.values():
             for first in range(0, len(members), TOGETHER):
@@ -105,7 +106,7 @@ class Simulated:
     def believed(self, run: int) -> Engaged:
         """The run with the nominal mechanism."""
         if run not in self._believed:
-            plant, count = Plant([self._under(run, ())]), self.poses.shape[1]
+            plant, count = plant_of([self._under(run, ())]), self.poses.shape[1]
             on_A, on_P = (
                 carried_by(plant.model, c)[1]
                 for c in (BODY, MOUNTED if self._carried[run].mechanism.mount else CARRIER)
@@ -130,8 +131,8 @@ class Simulated:
     def _together(self, runs: Sequence[int], scenarios: Sequence[Scenario]) -> Array:
         """(L, N, m, 6) contact wrenches of runs with scenarios that are ``alike``."""
         plant, flight = (
-            Plant(scenarios, min(threads(), len(runs))),
-            self._flight(alike(scenarios[0])),
+            plant_of(scenarios, min(threads(), len(runs))),
+            self._flight(lockstep_key(scenarios[0])),
         )
         wrench = np.empty((len(runs), self.poses.shape[1], self.substeps, 6))
         if flight is not None and not flight.holds(plant):
@@ -149,8 +150,8 @@ class Simulated:
         if kind not in self._flights:
             scenarios = [self._under(run, ()) for run in range(len(self.poses))]
             self._flights[kind] = None
-            if {alike(s) for s in scenarios} == {kind}:
-                plant = Plant(scenarios)
+            if {lockstep_key(s) for s in scenarios} == {kind}:
+                plant = plant_of(scenarios)
                 flight = fly(plant, self._carry(plant, range(len(self.poses))))
                 self._flights[kind] = flight if flight.row > 0 else None
         return self._flights[kind]

@@ -83,7 +83,7 @@ def _margin(scenario: Scenario, summary: dict[str, Any]) -> str:
         )
         words.append(f"The rig {verdict}: {100.0 * share:+z.2f} % of the approach energy.")
     total = summary["delay_ledger"][-1]["delay"] if summary["delay_ledger"] else 0.0
-    (stiffness, damping), stability = acting_along_z(scenario), summary.get("stability")
+    (stiffness, damping), stability = acting_along_z(scenario.impact), summary.get("stability")
     words.append(
         f"The remaining delays add up to {1e3 * total:+.3f} ms, equivalent to a damping of "
         f"{-stiffness * total:+.4g} N s/m."

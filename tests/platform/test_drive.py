@@ -201,7 +201,7 @@ def test_an_integrator_that_stops_at_each_switch_finds_the_same(drive: np.ndarra
 
 
 def _driven(s: Scenario, commands: np.ndarray, drive: PlatformDrive) -> np.ndarray:
-    parameters = PlatformParameters.believed(s).with_effects([drive])
+    parameters = PlatformParameters(s.tick).with_effects([drive])
     return replay_platform([s], [parameters], commands[None], np.zeros(1, dtype=int))[0]
 
 

@@ -16,7 +16,7 @@ from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects import Effect
 from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array, pose_step
-from hiltestbed.platform.plant import alike
+from hiltestbed.platform.build import lockstep_key
 from hiltestbed.replay import Felt, replay_wrench
 from hiltestbed.replay.wrench import Lane
 from hiltestbed.scenario import Scenario, load_scenario
@@ -96,7 +96,7 @@ def record(scenarios: Sequence[Scenario]) -> Recorded:
     data: dict[str, list[Array]] = {}
     groups: dict[Hashable, list[int]] = {}
     for i, s in enumerate(scenarios):
-        groups.setdefault(alike(s), []).append(i)
+        groups.setdefault(lockstep_key(s), []).append(i)
     for numbers in groups.values():
         batch = simulate([scenarios[i] for i in numbers], trace=True)
         assert not batch.trouble, batch.trouble

@@ -7,6 +7,7 @@ import pytest
 
 from hiltestbed.effects import EFFECTS
 from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.replay import follows_exactly, replay_platform
@@ -42,7 +43,7 @@ def test_every_effect_of_the_platform_acts_in_the_replay_as_in_the_loop() -> Non
         scenario("bumper with friction", changes={"effects": [example(k)]}) for k in PLATFORM
     ]
     recorded = record(scenarios)
-    parameters = [PlatformParameters.believed(s).with_effects(s.effects) for s in scenarios]
+    parameters = [PlatformParameters(s.tick).with_effects(s.effects) for s in scenarios]
     reached = replay_platform(scenarios, parameters, recorded["pose_cmd"], recorded.lanes)
     assert np.abs(reached - recorded["pose_act"][..., :3]).max() < ROUND_OFF
     lagging = np.abs(recorded["pose_act"][:, 1:, :3] - recorded["pose_cmd"][:, :-1, :3]).max(
@@ -56,7 +57,7 @@ def test_without_an_effect_the_pose_is_the_command_a_tick_later() -> None:
     s = recorded.scenarios[0]
     assert follows_exactly(s)
     reached = replay_platform(
-        [s], [PlatformParameters.believed(s)], recorded["pose_cmd"], recorded.lanes
+        [s], [PlatformParameters(s.tick)], recorded["pose_cmd"], recorded.lanes
     )
     assert np.abs(reached[0, 1:] - recorded["pose_cmd"][0, :-1, :3]).max() < 1e-16
     assert np.abs(reached[0] - recorded["pose_act"][0, :, :3]).max() < 1e-16
@@ -97,7 +98,7 @@ def test_a_platform_with_stiction_stands_still_exactly_as_long_as_in_the_loop(
         t = (1 + np.arange(ticks)) * s.tick
         start = np.array([*s.approach.offset, -s.approach.gap])
         pose[0, :, :3] = start + (sizes[..., None] * (1.0 - np.cos(w[..., None] * t))).sum(axis=1).T
-        response = PlatformResponse([s], [p], p.instants)
+        response = PlatformResponse([p], approach_state(s.approach)[None], p.instants)
         response.begin(0, start, np.zeros(3))
         still = s.model_copy(
             update={"approach": s.approach.model_copy(update={"velocity": (0.0, 0.0, 0.0)})}
@@ -157,7 +158,7 @@ def test_of_two_responses_in_a_row_the_second_sees_the_first_bend_within_a_tick(
     recorded = record([s])
     reached = replay_platform(
         [s],
-        [PlatformParameters.believed(s).with_effects(s.effects)],
+        [PlatformParameters(s.tick).with_effects(s.effects)],
         recorded["pose_cmd"],
         recorded.lanes,
     )

@@ -73,7 +73,7 @@ def test_on_a_mount_it_bears_what_the_contact_exerts() -> None:
         )
         return float(np.abs(path - recorded["pose_act"][0]).max())
 
-    assert missed(borne(s, felt)) < 7e-7
+    assert missed(borne(s.mechanism, s.tick, felt)) < 7e-7
     assert missed(felt) > 1e-5
 
 
@@ -89,7 +89,7 @@ def test_what_a_mount_bears_is_what_moves_it() -> None:
     reading = np.zeros((len(t), 6))
     reading[:, 2] = 100.0 * (answer * np.exp(1j * w * t)).imag
     late = slice(2000, 3900)  # the start-up of its motion is forgotten; the last rows have no slope
-    assert borne(s, reading)[late, 2] == pytest.approx(
+    assert borne(s.mechanism, s.tick, reading)[late, 2] == pytest.approx(
         100.0 * np.sin(w * t)[late], abs=1e-3 * 100.0
     )
 

@@ -14,7 +14,7 @@ import pytest
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
-from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.build import plant_of
 from hiltestbed.replay import Simulated, replay_rig
 from hiltestbed.replay.simulated import step_between
 from hiltestbed.scenario import Scenario, load_scenario
@@ -121,7 +121,7 @@ def test_free_flight_is_gone_through_once(monkeypatch: pytest.MonkeyPatch) -> No
         np.testing.assert_array_equal(once, whole.exerted([(1, effects), (0, [])]))
     flights = list(resumed._flights.values())
     assert all(f is not None for f in flights)
-    plant = Plant([docking(name, ({"kind": "contact.touch_offset", "offset": -0.02},))])
+    plant = plant_of([docking(name, ({"kind": "contact.touch_offset", "offset": -0.02},))])
     assert not any(f.holds(plant) for f in flights if f is not None)
 
 

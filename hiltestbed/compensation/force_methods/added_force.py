@@ -84,7 +84,7 @@ class VirtualContact(ForceMethod):
         from hiltestbed.contact.directions import acting_along_z
 
         # a damper b is equivalent to a lead of b/k
-        return {self.kind: self.damping / acting_along_z(scenario)[0]}
+        return {self.kind: self.damping / acting_along_z(scenario.impact)[0]}
 
 
 @njit(cache=True)
@@ -129,7 +129,7 @@ class CorDesigned(ForceMethod):
 
 def designed_damping(scenario: Scenario) -> float:
     """The damper [N s/m] that gives the design contact the desired e despite the delay."""
-    (force,), mass = force_of([scenario], CorDesigned), effective_mass(scenario)
+    (force,), mass = force_of([scenario], CorDesigned), effective_mass(scenario.spacecraft)
     w = math.sqrt(force.stiffness / mass)
     z = force.damping / (2.0 * math.sqrt(force.stiffness * mass))
     turn = w * scenario.sensor.delay

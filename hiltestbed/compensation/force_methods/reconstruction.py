@@ -84,7 +84,9 @@ class SmithPredictor(WithLead):
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
         from hiltestbed.contact.directions import acting_along_z
 
-        return {self.kind: scenario.sensor.delay * self.stiffness / acting_along_z(scenario)[0]}
+        return {
+            self.kind: scenario.sensor.delay * self.stiffness / acting_along_z(scenario.impact)[0]
+        }
 
 
 class ReconstructionBlock:

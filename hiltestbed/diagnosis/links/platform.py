@@ -41,7 +41,7 @@ class PlatformLink(ModelLink):
         """commands: (N, 7) of each run. deflection: (N, 6) of the believed drives [m, rad]."""
         self.runs, self.commands, self.deflection = runs, commands, deflection
         self._padded = padded(commands)
-        starts = [approach_state(r.scenario)[None, :7] for r in runs]
+        starts = [approach_state(r.scenario.approach)[None, :7] for r in runs]
         self._attitude = [
             flat_pose(np.concatenate([s, c[:-1]]))[:, 3:]
             for s, c in zip(starts, commands, strict=True)
@@ -64,7 +64,7 @@ class PlatformLink(ModelLink):
         """(L, N, 3) positions [m] that are reached in each lane, without the deflection."""
         run = np.array([i for i, _ in lanes])
         scenarios = [self.runs[i].scenario for i in run]
-        believed = [PlatformParameters.believed(s) for s in scenarios]
+        believed = [PlatformParameters(s.tick) for s in scenarios]
         parameters = [p.with_effects(own) for p, (_, own) in zip(believed, lanes, strict=True)]
         obeyed = np.array([self.timing_with(effects).obeyed for _, effects in lanes])
         return replay_platform(scenarios, parameters, self._padded, run, obeyed)

@@ -17,8 +17,9 @@ from hiltestbed.contact.parameters import (
     ContactParameters,
     believed_contacts,
     contact_rows,
+    latch_limits,
 )
-from hiltestbed.contact.phases import closes, latch_limits
+from hiltestbed.contact.phases import closes
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.links.base import (
     Effects,
@@ -304,7 +305,7 @@ class WrenchLink(ModelLink):
         out, waits = [], False
         for run, path, rate in zip(self.runs, self.paths, rates, strict=True):
             mechanism = run.scenario.mechanism
-            limits = latch_limits([run.scenario])[0]
+            limits = latch_limits([run.scenario.mechanism.latch])[0]
             held = rate.copy()
             out.append(held)
             if mechanism.latch is None or mechanism.captured:
@@ -338,7 +339,7 @@ class WrenchLink(ModelLink):
         """Predictions on the paths of a platform with effects, with the commanded attitude."""
         runs = [self.runs[i] for i, _ in lanes]
         scenarios = [r.scenario for r in runs]
-        believed = [PlatformParameters.believed(s) for s in scenarios]
+        believed = [PlatformParameters(s.tick) for s in scenarios]
         pairs = zip(believed, lanes, strict=True)
         parameters = [p.with_effects(effects) for p, (_, effects) in pairs]
         which = np.array([i for i, _ in lanes])
