@@ -26,7 +26,7 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.phases import Phases
 from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
-from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.numerical_model.bodies import approach_states
 from hiltestbed.platform.build import plant_of
 from hiltestbed.platform.plant import FreeMotion
 from hiltestbed.scenario import Scenario
@@ -120,7 +120,7 @@ class Loop:
         self.dead_zone = InputDeadZone(scenarios)
         self.model = scenarios[0].numerical_model.start(scenarios)
         self.drive: Drive = (
-            FreeMotion(np.array([approach_state(s.approach) for s in scenarios]), self.plant)
+            FreeMotion(approach_states(s.approach for s in scenarios), self.plant)
             if self.plant.physical
             else make_drive(scenarios, self.model)
         )

@@ -138,9 +138,9 @@ def mounts_of(mechanisms: Sequence[Mechanism]) -> tuple[Array, Array] | None:
     """``(n, 6)`` stiffness [N/m, N m/rad] and damping [N s/m, N m s/rad] of compliant mounts; None
     if they are rigid.
     """
-    mounts = [m.mount for m in mechanisms if m.mount is not None]
-    if not mounts:
+    if mechanisms[0].mount is None:
         return None
+    mounts = [m.mount for m in mechanisms if m.mount is not None]
     return np.array([m.stiffness for m in mounts]), np.array([m.damping for m in mounts])
 
 

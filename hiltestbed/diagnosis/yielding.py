@@ -17,8 +17,8 @@ from hiltestbed.diagnosis.settings import BLOCK_ROWS
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.measured import MeasuredRun
-from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.platform.build import nearest_bandwidth
+from hiltestbed.numerical_model.bodies import approach_state, approach_states
+from hiltestbed.platform.build import nearest_bandwidth, runs_of
 from hiltestbed.replay import (
     Engaged,
     Simulated,
@@ -67,7 +67,7 @@ def deflection(run: MeasuredRun, noise: float, engaged: Engaged | None = None) -
     reached P. engaged: see :func:`engagement`.
     """
     scenario = run.scenario
-    if follows_exactly(scenario):
+    if follows_exactly(scenario.rig, scenario.compensation):
         nothing = np.zeros((run.record.ticks, 6))
         return Deflection(nothing, nothing, nothing)
     touching, wrench = _load(run, _recorded(run), noise, engaged)
@@ -171,14 +171,19 @@ def engagement(run: MeasuredRun) -> Engaged | None:
     it; None where it follows from the pose, or where no such mechanism can have taken that path.
     """
     scenario, record = run.scenario, run.record
-    if sides_of(scenario.mechanism).rigid or not can_carry(scenario):
+    if sides_of(scenario.mechanism).rigid or not can_carry(scenario.rig):
         return None
     path, rates = np.ascontiguousarray(record.filled("pose_act")), None
-    if not moves_linearly(scenario):
-        whole = record.whole("twist_act")
-        rates = record.filled("twist_act") if whole else central_rates(scenario, path)
+    if not moves_linearly(scenario.rig):
+        rates = (
+            record.filled("twist_act")
+            if record.whole("twist_act")
+            else central_rates(scenario.approach, scenario.tick, path)
+        )
         rates = np.ascontiguousarray(rates)[None]
-    found = Simulated([scenario], path[None], rates).believed(0)
+    start = approach_states([scenario.approach])
+    carried = Simulated([scenario.mechanism], start, runs_of([scenario]), path[None], rates)
+    found = carried.believed(0)
     return found if np.isfinite(found.taken).all() and np.isfinite(found.wrench).all() else None
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,6 +29,11 @@ def approach_state(approach: Approach) -> Array:
     attitude = quat_from_attitude_deg(approach.attitude_deg)
     position, turn = [*approach.offset, -approach.gap], np.radians(approach.rate_deg)
     return np.concatenate([position, attitude, approach.velocity, turn])
+
+
+def approach_states(approaches: Iterable[Approach]) -> Array:
+    """``(n, 13)`` as :func:`approach_state`, of several."""
+    return np.array([approach_state(a) for a in approaches])
 
 
 def effective_mass(spacecraft: Spacecraft) -> float:

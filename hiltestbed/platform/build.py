@@ -26,7 +26,12 @@ from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects.table import by_link
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose
+from hiltestbed.numerical_model.bodies import (
+    approach_state,
+    approach_states,
+    inertia_matrix,
+    port_pose,
+)
 from hiltestbed.platform.facilities.arms import SerialArm, TwoArms
 from hiltestbed.platform.facilities.bodies import Article, PhysicalFacility
 from hiltestbed.platform.facilities.composed import TOOL, facility_model
@@ -142,7 +147,7 @@ def rig_parameters(scenarios: Sequence[Scenario]) -> RigParameters:
         mechanism_parameters(mechanisms, effects, structure.sides.rules),
         [PlatformParameters(s.tick).with_effects(s.effects) for s in scenarios],
         any(by_link(acting, "platform") for acting in effects),
-        np.array([approach_state(s.approach) for s in scenarios]),
+        approach_states(s.approach for s in scenarios),
         watched,
         first.rig.upper.tracking if first.rig.upper.kind == "prs3" else None,
     )

@@ -24,6 +24,8 @@ from hiltestbed.platform.build import plant_of
 from hiltestbed.replay.felt import slopes
 
 if TYPE_CHECKING:
+    from hiltestbed.compensation.settings import Compensation
+    from hiltestbed.platform.settings import Rig
     from hiltestbed.scenario import Scenario
 
 # [m] distance from its command at which a platform counts as lost: at 50 kN, the sensor's overload,
@@ -56,28 +58,24 @@ class RecordedForce:
         return self._record[low] + (row - low) * (self._record[high] - self._record[low]) + more
 
 
-def follows_exactly(scenario: Scenario) -> bool:
-    """Whether the nominal rig reaches the numerical model's pose exactly, one tick later."""
-    rig = scenario.rig
-    return (
-        rig.platform.tracking == "ideal"
-        and rig.upper.kind == "fixed"
-        and scenario.compensation.motion.tells_model_pose
-    )
+def follows_exactly(rig: Rig, compensation: Compensation) -> bool:
+    """Whether a nominal ``rig`` reaches the numerical model's pose exactly, one tick later."""
+    fixed = rig.upper.kind == "fixed"
+    return rig.platform.tracking == "ideal" and fixed and compensation.motion.tells_model_pose
 
 
-def moves_linearly(scenario: Scenario) -> bool:
+def moves_linearly(rig: Rig) -> bool:
     """Whether A moves uniformly within a tick relative to P, so that the contact's rate at t_k is
     the mean over the tick that ends.
     """
-    return scenario.rig.platform.prescribed and scenario.rig.upper.kind == "fixed"
+    return rig.platform.prescribed and rig.upper.kind == "fixed"
 
 
-def can_carry(scenario: Scenario) -> bool:
+def can_carry(rig: Rig) -> bool:
     """Whether the motion of A relative to P within a tick follows from recorded poses and rates: it
     is uniform, or stepped by a servo.
     """
-    return scenario.rig.platform.tracking != "response" and scenario.rig.upper.kind == "fixed"
+    return rig.platform.tracking != "response" and rig.upper.kind == "fixed"
 
 
 def replay_rig(

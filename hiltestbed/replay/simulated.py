@@ -9,7 +9,8 @@ servo's steps can have produced between the rows.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import mujoco
@@ -18,20 +19,20 @@ from scipy.spatial.transform import Rotation
 
 from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.compiled.warm import threads
-from hiltestbed.contact.composition import carried_by
+from hiltestbed.contact.composition import carried_by, structure_of
 from hiltestbed.contact.mount import CARRIER, MOUNTED
-from hiltestbed.effects.base import Effect
-from hiltestbed.effects.table import EFFECTS
+from hiltestbed.contact.parameters import FRICTION, MechanismParameters, mechanism_parameters
+from hiltestbed.contact.settings import Mechanism
+from hiltestbed.contact.sides import sides_of
 from hiltestbed.frames import Array, pose_step, twist_between
-from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.platform.build import lockstep_key, plant_of
+from hiltestbed.platform.build import built
 from hiltestbed.platform.facilities.composed import BODY
+from hiltestbed.platform.facilities.facility import Runs
 from hiltestbed.platform.kinds import PLATFORMS
+from hiltestbed.platform.parameters import PlatformParameters, RigParameters
 from hiltestbed.platform.plant import Plant
-from hiltestbed.platform.settings import Rig
 from hiltestbed.replay.felt import Kept
 from hiltestbed.replay.flight import Flight, fly
-from hiltestbed.scenario import Scenario
 
 TOGETHER = 32  # lanes that are stepped in one batch
 
@@ -70,46 +71,52 @@ class Simulated:
     """
 
     def __init__(
-        self, scenarios: Sequence[Scenario], poses: Array, rates: Array | None = None
+        self,
+        mechanisms: Sequence[Mechanism],
+        start: Array,
+        rig: Runs,
+        poses: Array,
+        rates: Array | None = None,
     ) -> None:
-        """``scenarios``: nominal, of the R runs; ``rates``: (R, N, 6) twist at t_k, None: A moves
-        uniformly within a tick.
+        """``mechanisms``: nominal, of one shape, of the R runs. ``start``: (R, 13) of A in P.
+        ``rig``: gives tick and substeps. ``rates``: (R, N, 6) twist at t_k, None: A moves uniformly
+        within a tick.
         """
-        self.poses, self._rates = poses, rates
-        self._start = np.array([approach_state(s.approach)[7:] for s in scenarios])
-        self.tick, self.substeps = scenarios[0].tick, scenarios[0].substeps
+        self.poses, self._rates, self._start = poses, rates, start
+        self.tick, self.substeps = rig.tick, rig.substeps
         self.kept = Kept()
-        self._carried = [_carried(s) for s in scenarios]
+        self._mechanisms = mechanisms
+        none = [()] * len(mechanisms)
+        self._nominal = mechanism_parameters(mechanisms, none, sides_of(mechanisms[0]).rules)
         self._believed: dict[int, Engaged] = {}
-        self._flights: dict[Hashable, Flight | None] = {}
+        self._flights: dict[bool, Flight | None] = {}
 
     def instants(self, grid: int | None) -> int:
         """Number of instants per tick to compute: always those of the physics."""
         return self.substeps
 
-    def exerted(self, wanted: Sequence[tuple[int, Sequence[Effect]]]) -> list[Array]:
-        """(N, m, 6) contact wrench [N, N m], for each run with effects, at the instants of the tick
-        that ends at each row.
+    def exerted(self, wanted: Sequence[tuple[int, Array]]) -> list[Array]:
+        """(N, m, 6) contact wrench [N, N m], for each run with the laws (C + 1, PARAMETERS) of its
+        candidates and its latch, at the instants of the tick that ends at each row.
         """
-        scenarios = [self._under(run, effects) for run, effects in wanted]
-        groups: dict[Hashable, list[int]] = {}
-        for i, scenario in enumerate(scenarios):
-            groups.setdefault(lockstep_key(scenario), []).append(i)
+        groups: dict[bool, list[int]] = {}
+        for i, (_, laws) in enumerate(wanted):
+            groups.setdefault(_rubs(laws), []).append(i)
         out: dict[int, Array] = {}
         for members in groups.values():
             for first in range(0, len(members), TOGETHER):
                 some = members[first : first + TOGETHER]
-                runs = [wanted[i][0] for i in some]
-                out |= zip(some, self._together(runs, [scenarios[i] for i in some]), strict=True)
+                runs, laws = zip(*(wanted[i] for i in some), strict=True)
+                out |= zip(some, self._together(runs, np.stack(laws)), strict=True)
         return [out[i] for i in range(len(wanted))]
 
     def believed(self, run: int) -> Engaged:
         """The run with the nominal mechanism."""
         if run not in self._believed:
-            plant, count = plant_of([self._under(run, ())]), self.poses.shape[1]
+            plant, count = self._plant([run], self._nominal.laws[[run]]), self.poses.shape[1]
             on_A, on_P = (
                 carried_by(plant.model, c)[1]
-                for c in (BODY, MOUNTED if self._carried[run].mechanism.mount else CARRIER)
+                for c in (BODY, MOUNTED if self._mechanisms[run].mount else CARRIER)
             )
             parts = [*on_A, *on_P]
             wrench, depth = np.empty((count, self.substeps, 6)), np.full(count, -1.0)
@@ -128,12 +135,10 @@ class Simulated:
             self._believed[run] = Engaged(wrench, depth, taken)
         return self._believed[run]
 
-    def _together(self, runs: Sequence[int], scenarios: Sequence[Scenario]) -> Array:
-        """(L, N, m, 6) contact wrenches of runs with scenarios that are ``alike``."""
-        plant, flight = (
-            plant_of(scenarios, min(threads(), len(runs))),
-            self._flight(lockstep_key(scenarios[0])),
-        )
+    def _together(self, runs: Sequence[int], laws: Array) -> Array:
+        """(L, N, m, 6) contact wrenches of runs with ``laws`` of which all rub, or none."""
+        plant = self._plant(runs, laws, min(threads(), len(runs)))
+        flight = self._flight(_rubs(laws))
         wrench = np.empty((len(runs), self.poses.shape[1], self.substeps, 6))
         if flight is not None and not flight.holds(plant):
             flight = None
@@ -143,23 +148,34 @@ class Simulated:
             wrench[:, k] = plant.wrench_sub
         return wrench
 
-    def _flight(self, kind: Hashable) -> Flight | None:
-        """The free flight of all runs in plants of this kind (see ``alike``); None if there is
-        none.
-        """
-        if kind not in self._flights:
-            scenarios = [self._under(run, ()) for run in range(len(self.poses))]
-            self._flights[kind] = None
-            if {lockstep_key(s) for s in scenarios} == {kind}:
-                plant = plant_of(scenarios)
-                flight = fly(plant, self._carry(plant, range(len(self.poses))))
-                self._flights[kind] = flight if flight.row > 0 else None
-        return self._flights[kind]
+    def _flight(self, rubs: bool) -> Flight | None:
+        """The free flight of all runs in plants with or without friction; None if there is none."""
+        if rubs not in self._flights:
+            self._flights[rubs], laws = None, self._nominal.laws
+            if {_rubs(rows) for rows in laws} == {rubs}:
+                runs = range(len(self.poses))
+                plant = self._plant(runs, laws)
+                flight = fly(plant, self._carry(plant, runs))
+                self._flights[rubs] = flight if flight.row > 0 else None
+        return self._flights[rubs]
 
-    def _under(self, run: int, effects: Sequence[Effect]) -> Scenario:
-        # with any effect, the model computes every contact
-        neutral = EFFECTS["contact.stiffness"].model_validate({"factor": 1.0})
-        return self._carried[run].model_copy(update={"effects": (neutral, *effects)})
+    def _plant(self, runs: Sequence[int], laws: Array, nthread: int = 1) -> Plant:
+        """The mechanisms of ``runs`` with ``laws`` (L, C + 1, PARAMETERS), under ideal tracking."""
+        n, lanes, (_, mounts, closing) = len(runs), list(runs), self._nominal
+        springs = None if mounts is None else (mounts[0][lanes], mounts[1][lanes])
+        platform = PLATFORMS["pss33"].model_validate({"kind": "pss33", "tracking": "ideal"})
+        # not constant: the model computes every contact
+        structure = structure_of(self._mechanisms[lanes[0]], ())
+        parameters = RigParameters(
+            built(platform),
+            replace(structure, constant=False, rubs=_rubs(laws)),
+            Runs(self.tick, self.substeps, [platform] * n, np.ones(n, dtype=bool)),
+            MechanismParameters(laws, springs, closing[lanes]),
+            [PlatformParameters(self.tick)] * n,
+            False,
+            self._start[lanes],
+        )
+        return Plant(parameters, nthread)
 
     def _carry(
         self, plant: Plant, runs: Sequence[int], flight: Flight | None = None
@@ -175,7 +191,7 @@ class Simulated:
         count, lanes = paths.shape[:2]
         still, poses = np.zeros((lanes, 6)), np.empty((self.substeps, lanes, 7))
         twists, dt = np.empty((self.substeps, lanes, 6)), self.tick / self.substeps
-        plant.reset(paths[0], self._start[list(runs)])
+        plant.reset(paths[0], self._start[list(runs), 7:])
         if flight is not None:
             flight.resume(plant, runs)
         for k in range(0 if flight is None else flight.row + 1, count):
@@ -188,12 +204,9 @@ class Simulated:
             yield k
 
 
-def _carried(scenario: Scenario) -> Scenario:
-    """The scenario with ideal tracking and without effects, whose mechanism is carried along a
-    path.
-    """
-    ideal = PLATFORMS["pss33"].model_validate({"kind": "pss33", "tracking": "ideal"})
-    return scenario.model_copy(update={"rig": Rig(platform=ideal), "effects": ()})
+def _rubs(laws: Array) -> bool:
+    """Whether there is friction in the ``laws`` (..., C + 1, PARAMETERS), the latch's aside."""
+    return bool((laws[..., :-1, FRICTION] > 0.0).any())
 
 
 def _rate_of_momentum(

@@ -82,7 +82,7 @@ def test_what_a_mount_bears_is_what_moves_it() -> None:
     sensor.
     """
     s = scenario("latched on a mount", "servo")
-    (dynamics,) = [d for d in [MountDynamics.of([s])] if d is not None]
+    (dynamics,) = [d for d in [MountDynamics.of([s.mechanism])] if d is not None]
     mass, k, c = dynamics.body[0], dynamics.stiffness[0, 2], dynamics.damping[0, 2]
     t, w = s.tick * np.arange(4000), 2.0 * np.pi * 5.0
     answer = (k + 1j * w * c) / (k - mass * w**2 + 1j * w * c)

@@ -18,7 +18,7 @@ from hiltestbed.diagnosis.links.base import (
     perturbed,
 )
 from hiltestbed.frames import Array
-from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.numerical_model.bodies import approach_state, approach_states
 from hiltestbed.platform.effects.response import PlatformDelay
 from hiltestbed.platform.effects.tracking import PlatformFriction
 from hiltestbed.platform.parameters import PlatformParameters
@@ -67,7 +67,9 @@ class PlatformLink(ModelLink):
         believed = [PlatformParameters(s.tick) for s in scenarios]
         parameters = [p.with_effects(own) for p, (_, own) in zip(believed, lanes, strict=True)]
         obeyed = np.array([self.timing_with(effects).obeyed for _, effects in lanes])
-        return replay_platform(scenarios, parameters, self._padded, run, obeyed)
+        start = approach_states(s.approach for s in scenarios)
+        substeps = [s.substeps for s in scenarios]
+        return replay_platform(parameters, start, substeps, self._padded, run, obeyed)
 
     def _with_errors(self, i: int) -> PlatformLink:
         commands = perturbed(self.commands[i], self.rounding[i])

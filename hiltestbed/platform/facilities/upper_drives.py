@@ -11,7 +11,7 @@ upper platform is clamped.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -32,10 +32,6 @@ from hiltestbed.platform.facilities.motion import GRAVITY, carry
 from hiltestbed.platform.facilities.prs3 import Upper, motion, place, upper_kinematics
 from hiltestbed.platform.facilities.pss33 import SliderDrives
 from hiltestbed.platform.shipped.pss33 import Pss33
-
-if TYPE_CHECKING:
-    pass
-
 
 MOVED_PER_DRIVE = 240.0  # [kg] a third of platform, payload and links, carriage and armature
 # [Hz] of the position loop, critically damped: longer limbs than the lower platform's
