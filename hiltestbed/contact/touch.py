@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiltestbed.compiled.jit import interpreted
-from hiltestbed.contact.composition import structure_of
 from hiltestbed.contact.geometry import FRAMES, unmet
 from hiltestbed.contact.law import Pair, acting_law, in_series, linear_law
 from hiltestbed.contact.parameters import (
@@ -244,6 +243,7 @@ class _Parts:
         # the platform's models are made of the mechanism, so that they import its package
         from mujoco.batch import Batch
 
+        from hiltestbed.contact.composition import structure_of
         from hiltestbed.contact.engagement import Engagement
         from hiltestbed.platform.facilities.composed import ideal_model
 

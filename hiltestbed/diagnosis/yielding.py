@@ -72,14 +72,14 @@ def deflection(run: MeasuredRun, noise: float, engaged: Engaged | None = None) -
         return Deflection(nothing, nothing, nothing)
     touching, wrench = _load(run, _recorded(run), noise, engaged)
     told, taken = flat_pose(told_pose(run)), 0.0 if engaged is None else engaged.taken
-    path = _replayed(run, borne(scenario.mechanism, scenario.tick, wrench) + taken)
+    path = _replayed(run, wrench, taken)
     if path is None:
         return None
     away = path - told
     shown = flat_pose(run.record.data["pose_act"]) - told if run.record.has("pose_act") else away
     departure = np.nanmax(np.abs(shown - away), axis=0, initial=0.0)
     departure[:3], departure[3:] = departure[:3].max(), departure[3:].max()
-    unloaded = _replayed(run, borne(scenario.mechanism, scenario.tick, np.zeros_like(wrench)))
+    unloaded = _replayed(run, np.zeros_like(wrench))
     # the rest is the response to the command, which is known
     yielded = away if unloaded is None else path - unloaded
     rows = MAX_READING_SHIFT / scenario.tick
@@ -94,9 +94,7 @@ def deflection(run: MeasuredRun, noise: float, engaged: Engaged | None = None) -
         doubt[np.maximum.accumulate(told[:, 2] > -departure[2])] = np.inf
     # sliding parts reverse within a tick; stiction of the drives retains the effect
     if engaged is not None:
-        chattering = _replayed(
-            run, borne(scenario.mechanism, scenario.tick, wrench) + taken, engaged.between
-        )
+        chattering = _replayed(run, wrench, taken, engaged.between)
         if chattering is not None:
             kept = np.maximum.accumulate(np.abs(chattering - path), axis=0)
             doubt = np.hypot(doubt, alike * kept)
@@ -105,7 +103,7 @@ def deflection(run: MeasuredRun, noise: float, engaged: Engaged | None = None) -
     shaken = wrench.copy()
     error = noise * np.random.default_rng(0).standard_normal((len(wrench), 3))
     shaken[:, :3] += np.where(touching, error, 0.0)
-    noisy = _replayed(run, borne(scenario.mechanism, scenario.tick, shaken) + taken)
+    noisy = _replayed(run, shaken, taken)
     passed = np.zeros(6) if noisy is None else np.std(noisy - path, axis=0)
     # it is correlated for as long as the drives remember
     doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, 1.0 / band / scenario.tick)))
@@ -115,21 +113,24 @@ def deflection(run: MeasuredRun, noise: float, engaged: Engaged | None = None) -
 def yielded_under(run: MeasuredRun, found: Deflection, reading: Array, noise: float) -> Array:
     """`yielded` of a deflection that was ``found``, under another ``reading`` (N, 6)."""
     _, wrench = _load(run, reading, noise)
-    path = _replayed(run, borne(run.scenario.mechanism, run.scenario.tick, wrench))
+    path = _replayed(run, wrench)
     if path is None:
         return found.yielded
     return path - flat_pose(told_pose(run)) - (found.away - found.yielded)
 
 
-def _replayed(run: MeasuredRun, load: Array, between: Array | None = None) -> Array | None:
-    """(N, 6) flat pose of the believed rig on its command under a ``load`` (N, 6), and one
-    ``between`` rows; None where it cannot follow.
+def _replayed(
+    run: MeasuredRun, reading: Array, taken: Array | float = 0.0, between: Array | None = None
+) -> Array | None:
+    """(N, 6) flat pose of the believed rig on its command under the load of a ``reading`` (N, 6),
+    what parts have ``taken`` and what is ``between`` rows; None where it cannot follow.
     """
-    record = run.record
+    record, scenario = run.record, run.scenario
+    load = borne(scenario.mechanism, scenario.tick, reading) + taken
     command = np.ascontiguousarray(record.filled("pose_cmd"))
     rates = record.filled("twist_cmd") if record.has("twist_cmd") else None
     reached = _noiseless_pose(run)
-    path = replay_rig(run.scenario, command, rates, load, _recorded(run), reached, between)
+    path = replay_rig(scenario, command, rates, load, _recorded(run), reached, between)
     return None if path is None else flat_pose(path)
 
 
@@ -175,11 +176,9 @@ def engagement(run: MeasuredRun) -> Engaged | None:
         return None
     path, rates = np.ascontiguousarray(record.filled("pose_act")), None
     if not moves_linearly(scenario.rig):
-        rates = (
-            record.filled("twist_act")
-            if record.whole("twist_act")
-            else central_rates(scenario.approach, scenario.tick, path)
-        )
+        rates = central_rates(scenario.approach, scenario.tick, path)
+        if record.whole("twist_act"):
+            rates = record.filled("twist_act")
         rates = np.ascontiguousarray(rates)[None]
     start = approach_states([scenario.approach])
     carried = Simulated([scenario.mechanism], start, runs_of([scenario]), path[None], rates)

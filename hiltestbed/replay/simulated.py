@@ -4,7 +4,8 @@ recorded paths.
 Moving parts, phases of capture and native pairs have no closed form. The sides are carried along
 the path as with ideal tracking (:mod:`hiltestbed.platform.ideal`), from the first row on, with the
 force law of a hypothesis. For a platform with a servo, the motion within a tick is one that the
-servo's steps can have produced between the rows.
+servo's steps can have produced between the rows. Free flight before the first contact does not
+depend on the hypothesis, so it is simulated once for all of them.
 """
 
 from __future__ import annotations
@@ -18,10 +19,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.compiled.jit import copied, njit
+from hiltestbed.compiled.state import arrays_of
 from hiltestbed.compiled.warm import threads
 from hiltestbed.contact.composition import carried_by, structure_of
 from hiltestbed.contact.mount import CARRIER, MOUNTED
-from hiltestbed.contact.parameters import FRICTION, MechanismParameters, mechanism_parameters
+from hiltestbed.contact.parameters import (
+    FRICTION,
+    OFFSET,
+    TILT_X,
+    TILT_Y,
+    MechanismParameters,
+    mechanism_parameters,
+)
 from hiltestbed.contact.settings import Mechanism
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.frames import Array, pose_step, twist_between
@@ -32,9 +41,11 @@ from hiltestbed.platform.kinds import PLATFORMS
 from hiltestbed.platform.parameters import PlatformParameters, RigParameters
 from hiltestbed.platform.plant import Plant
 from hiltestbed.replay.felt import Kept
-from hiltestbed.replay.flight import Flight, fly
 
 TOGETHER = 32  # lanes that are stepped in one batch
+# [m] least distance of the sides during free flight; a hypothesis may shift a surface by half of it
+CLEAR = 0.01
+EVERY = 16  # rows between two checks of the distance
 
 
 class Engaged(NamedTuple):
@@ -59,6 +70,109 @@ class Engaged(NamedTuple):
         before = np.concatenate([self.wrench[:1, -1:], self.wrench[:-1, -1:]])
         return np.asarray(
             self.wrench - before - np.arange(1, m + 1)[:, None] / m * (self.wrench[:, -1:] - before)
+        )
+
+
+class Flight(NamedTuple):
+    """The free flight of all runs, until the first of them comes near a contact.
+
+    Attributes:
+        row: its last row. wrench: (R, row + 1, m, 6). arm: [m] from W's origin to the farthest
+            point of any geom. state: of the plant of all R runs at that row: the arrays that have
+            changed since the start, by name.
+    """
+
+    row: int
+    wrench: Array
+    arm: float
+    state: dict[str, Array]
+
+    def holds(self, laws: Array) -> bool:
+        """Whether ``laws`` (..., PARAMETERS) shift no surface by over half of :data:`CLEAR`."""
+        tilt = np.hypot(laws[..., TILT_X], laws[..., TILT_Y])
+        shift = np.abs(laws[..., OFFSET]) + self.arm * tilt
+        return bool(shift.max(initial=0.0) < 0.5 * CLEAR)
+
+    def resume(self, plant: Plant, runs: Sequence[int]) -> None:
+        """Set ``plant``, which has been reset and whose lanes belong to ``runs``, to their state at
+        the end of the flight.
+        """
+        live, count = _live(plant), len(self.wrench)
+        for name, array in self.state.items():
+            of_lanes = array.shape[:1] == (count,) and live[name].shape[:1] == (len(runs),)
+            live[name][...] = array[list(runs)] if of_lanes else array
+
+
+def fly(plant: Plant, rows: Iterator[int]) -> Flight:
+    """The flight of ``plant``, with nominal contacts, as the iterator ``rows`` carries it from row
+    to row.
+    """
+    live, began = _live(plant), dict[str, Array]()
+    apart, wrench, last, state, arm = _Apart(plant), list[Array](), -1, dict[str, Array](), 0.0
+    for k in rows:
+        if k == 0:
+            began = {name: array.copy() for name, array in live.items()}
+        wrench.append(plant.wrench_sub.copy())
+        if k % EVERY:
+            continue
+        if (
+            not apart.clear()
+            or plant.captured.any()
+            or (plant.phases is not None and plant.phases.begun.any())
+        ):
+            break
+        last, arm = k, max(arm, apart.arm())
+        state = {
+            name: array.copy()
+            for name, array in live.items()
+            if not np.array_equal(array, began[name], equal_nan=array.dtype.kind == "f")
+        }
+    return Flight(
+        last, np.stack(wrench[: last + 1], axis=1) if last >= 0 else np.empty((0, 0)), arm, state
+    )
+
+
+def _live(plant: Plant) -> dict[str, Array]:
+    """The state of a plant, including the activations of its actuators, which none of its blocks
+    store.
+    """
+    activations = {"act": plant.watch("act", 1)} if plant.model.na else {}
+    return arrays_of(plant) | activations
+
+
+class _Apart:
+    """Distances between the geoms that may touch, in a plant of R runs."""
+
+    def __init__(self, plant: Plant) -> None:
+        self._model, self._met = plant.model, plant.contacts().met
+        self._data = mujoco.MjData(plant.model)
+        self._place, self._turn = plant.watch("geom_xpos", 3), plant.watch("geom_xmat", 9)
+        names = [f"native_{k}" for k in range(self._met.shape[1])]
+        pairs = [
+            self._model.pair(name)
+            for name in names
+            if mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_PAIR, name) >= 0
+        ]
+        self._native = [(int(p.geom1.item()), int(p.geom2.item())) for p in pairs]
+
+    def clear(self) -> bool:
+        """Whether all distances, in every run, exceed :data:`CLEAR`."""
+        facets = self._met.shape[1] - len(self._native)
+        if not (self._met[:, :facets, 0] < -CLEAR).all():
+            return False
+        for i in range(len(self._met)):
+            self._data.geom_xpos[:], self._data.geom_xmat[:] = self._place[i], self._turn[i]
+            if any(
+                mujoco.mj_geomDistance(self._model, self._data, *pair, CLEAR, None) < CLEAR
+                for pair in self._native
+            ):
+                return False
+        return True
+
+    def arm(self) -> float:
+        """Distance from W's origin to the farthest point of any geom [m]."""
+        return float(
+            (np.linalg.norm(self._place, axis=2) + self._model.geom_rbound).max(initial=0.0)
         )
 
 
@@ -122,13 +236,11 @@ class Simulated:
             wrench, depth = np.empty((count, self.substeps, 6)), np.full(count, -1.0)
             places, turns = np.zeros((count, len(parts), 3)), np.zeros((count, len(parts), 3, 3))
             met = plant.contacts().met
-            place, turn = (
-                (plant.watch("xipos", 3), plant.watch("ximat", 9)) if parts else (None, None)
-            )
+            place, turn = plant.watch("xipos", 3), plant.watch("ximat", 9)
             for k in self._carry(plant, [run]):
                 wrench[k], depth[k] = plant.wrench_sub[0], met[0, :, 0].max(initial=-1.0)
-                if place is not None and turn is not None:
-                    places[k], turns[k] = place[0, parts], turn[0, parts].reshape(-1, 3, 3)
+                places[k] = place[0, parts]
+                turns[k] = turn[0, parts].reshape(len(parts), 3, 3)
             taken = _rate_of_momentum(
                 plant.model, on_A, on_P, self.poses[run], places, turns, self.tick
             )
@@ -140,10 +252,10 @@ class Simulated:
         plant = self._plant(runs, laws, min(threads(), len(runs)))
         flight = self._flight(_rubs(laws))
         wrench = np.empty((len(runs), self.poses.shape[1], self.substeps, 6))
-        if flight is not None and not flight.holds(plant):
-            flight = None
-        if flight is not None:
+        if flight is not None and flight.holds(laws):
             wrench[:, : flight.row + 1] = flight.wrench[list(runs)]
+        else:
+            flight = None
         for k in self._carry(plant, runs, flight):
             wrench[:, k] = plant.wrench_sub
         return wrench
@@ -219,9 +331,9 @@ def _rate_of_momentum(
     tick: float,
 ) -> Array:
     """(N, 6) rate of change of the momentum of bodies on A, which moves along ``path`` (N, 7), and
-    on P, beyond that with the bodies
-    fixed in their home positions: at each row, about W's origin. Their positions are ``places`` (N,
-        B, 3), their attitudes ``turns`` (N, B, 3, 3). NaN if any of these is not finite.
+    on P, beyond that with the bodies fixed in their home positions: at each row, about W's origin.
+    Their positions are ``places`` (N, B, 3), their attitudes ``turns`` (N, B, 3, 3). NaN if any of
+    these is not finite.
     """
     if not np.isfinite(places).all() or not np.isfinite(turns).all():
         return np.full((len(path), 6), np.nan)

@@ -13,7 +13,6 @@ import pytest
 
 from hiltestbed.effects import EFFECTS
 from hiltestbed.frames import Array
-from hiltestbed.platform.build import plant_of
 from hiltestbed.replay import Simulated, replay_rig
 from hiltestbed.replay.simulated import step_between
 from hiltestbed.scenario import Scenario, load_scenario
@@ -122,8 +121,8 @@ def test_free_flight_is_gone_through_once(monkeypatch: pytest.MonkeyPatch) -> No
         np.testing.assert_array_equal(once, whole.exerted(wanted))
     flights = list(resumed._flights.values())
     assert all(f is not None for f in flights)
-    plant = plant_of([docking(name, ({"kind": "contact.touch_offset", "offset": -0.02},))])
-    assert not any(f.holds(plant) for f in flights if f is not None)
+    early = laws(one, [touch.hypothesis({}, offset=-0.02)])
+    assert not any(f.holds(early) for f in flights if f is not None)
 
 
 def test_drives_bear_what_touches_and_what_moves_on_them() -> None:
