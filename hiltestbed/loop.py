@@ -23,7 +23,9 @@ from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.phases import Phases
 from hiltestbed.frames import Array
-from hiltestbed.platform.plant import FreeMotion, Plant
+from hiltestbed.numerical_model.bodies import approach_states
+from hiltestbed.platform.build import plant_of
+from hiltestbed.platform.plant import FreeMotion
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import Trace
 
@@ -79,7 +81,7 @@ MakeSide = Callable[[Sequence[Scenario], int], Side]
 def simulated(scenarios: Sequence[Scenario], nthread: int) -> Side:
     """The simulated physical side."""
     sensor = build.sensors(scenarios)
-    return sensor, Plant(scenarios, nthread, late=sensor.late), build.safety(scenarios)
+    return sensor, plant_of(scenarios, nthread, late=sensor.late), build.safety(scenarios)
 
 
 class Loop:
@@ -112,7 +114,7 @@ class Loop:
         self.dead_zone = build.dead_zone(scenarios)
         self.model = scenarios[0].numerical_model.start(scenarios)
         self.drive: Drive = (
-            FreeMotion(scenarios, self.plant)
+            FreeMotion(approach_states(s.approach for s in scenarios), self.plant)
             if self.plant.physical
             else build.drive(scenarios, self.model)
         )

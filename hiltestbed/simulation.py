@@ -19,7 +19,7 @@ from hiltestbed.compensation.resynchronised.drive import ResynchronisedDrive
 from hiltestbed.config.budget import refuse_beyond, run_budget
 from hiltestbed.config.sense import warnings
 from hiltestbed.contact.directions import acting_along_z
-from hiltestbed.contact.resolution import unconverged, with_half_the_step
+from hiltestbed.contact.resolution import converged, rate_for_comparison, sufficient_rate
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.touch import axis_truth, normal_truth
 from hiltestbed.effects.log import log_parameters, stamp_late
@@ -99,15 +99,30 @@ def _compared(
     references: Mapping[str, Scenario], found: Mapping[str, ContactFigures], nthread: int
 ) -> dict[str, tuple[str, ...]]:
     """Warnings on references, by name, whose rebound changes with half the physics step."""
-    finer = {name: half for name, s in references.items() if (half := with_half_the_step(s))}
+    finer = {
+        name: s.model_copy(update={"stated_physics_rate": rate})
+        for name, s in references.items()
+        if (rate := rate_for_comparison(s.impact, s.physics_rate))
+    }
     if not finer:
         return {}
     halved = simulate(list(finer.values()), until_parted=True, nthread=nthread).figures
-    said = {
-        name: unconverged(references[name], found[name].cor, figures.cor)
+    return {
+        name: (_unconverged(references[name], found[name].cor, figures.cor),)
         for name, figures in zip(finer, halved, strict=True)
+        if not converged(found[name].cor, figures.cor)
     }
-    return {name: (text,) for name, text in said.items() if text}
+
+
+def _unconverged(scenario: Scenario, cor: float | None, halved: float | None) -> str:
+    """The warning that a reference's rebound ``cor`` differs with the physics step ``halved``."""
+    before, after = ("none" if e is None else f"{e:.4g}" for e in (cor, halved))
+    enough = sufficient_rate(scenario.impact, scenario.rate)
+    return (
+        f"the physics step of {1e3 / scenario.physics_rate:.3g} ms is too long for this contact: "
+        f"half of it changes the coefficient of restitution of the reference from {before} to "
+        f"{after}; use a physics_rate of {enough:g} Hz or leave it out"
+    )
 
 
 def simulate(
@@ -284,7 +299,7 @@ def _truth(loop: Loop, i: int) -> list[tuple[float, float] | None]:
     """
     held = loop.plant.held_pair(i)
     if held is None:
-        return axis_truth(loop.scenarios[i], bool(loop.plant.captured[i]))
+        return axis_truth(loop.scenarios[i].impact, bool(loop.plant.captured[i]))
     return [(float(held[0][j, j]), float(held[1][j, j])) for j in range(len(AXES))]
 
 
@@ -309,7 +324,7 @@ def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
     if not isinstance(estimate, RecursiveLeastSquares) or mechanism.flat or mechanism.captured:
         return {}
     *known, samples = (_number(v) for v in estimate.along_normal[i])
-    truth = normal_truth(loop.scenarios[i], int(estimate.source.at_once[i])) or (None, None)
+    truth = normal_truth(loop.scenarios[i].impact, int(estimate.source.at_once[i])) or (None, None)
     found = dict(zip(ESTIMATED, known, strict=True)) | {"samples": int(samples or 0)}
     return {"identification_normal": found | {"stiffness_true": truth[0], "damping_true": truth[1]}}
 
@@ -367,7 +382,7 @@ def concluded(
         stop_reason = f"tick {trouble[0]}, t = {trouble[0] / scenario.rate:.6f} s: {trouble[2]}"
     elif reference_fault is not None:
         status, stop_reason = "no_reference", reference_fault
-    wall, speed, mass = batch.wall, figures.approach_speed, effective_mass(scenario)
+    wall, speed, mass = batch.wall, figures.approach_speed, effective_mass(scenario.spacecraft)
     simulated = (batch.ticks - 1) / scenario.rate * len(batch.scenarios)
     summary = {
         "name": scenario.name,
@@ -391,7 +406,7 @@ def concluded(
         "energy_reference": _energy_reference(scenario, figures),
         "energy_resolution": 0.5
         * scenario.tick
-        * acting_along_z(scenario)[1]
+        * acting_along_z(scenario.impact)[1]
         * _speed(scenario) ** 2
         * max(figures.contacts, 1),
         "peak_force": figures.peak_force,
@@ -430,9 +445,9 @@ def _energy_reference(scenario: Scenario, figures: ContactFigures) -> float | No
     """
     if not figures.contact_duration:
         return None
-    mass, speed = effective_mass(scenario), _speed(scenario)
+    mass, speed = effective_mass(scenario.spacecraft), _speed(scenario)
     if scenario.mechanism.captured:
-        stored = figures.peak_force**2 / (2.0 * acting_along_z(scenario)[0])
+        stored = figures.peak_force**2 / (2.0 * acting_along_z(scenario.impact)[0])
         return max(stored, 0.5 * mass * speed**2)
     return 0.5 * mass * max(speed, figures.approach_speed or 0.0) ** 2
 

@@ -105,7 +105,7 @@ def test_a_bounce_in_a_cone_is_foretold(k, c, damped, stable) -> None:
     said = {d["direction"]: d for d in done.summary["stability"]["directions"]}[
         "along the normal of the first touch"
     ]
-    way = next(d for d in directions(s) if d.slant)
+    way = next(d for d in directions(s.impact) if d.slant)
     contact, twist = done.trace.contact, done.trace["twist_cmd"]
     first = int(np.argmax(contact))
     last = first + int(np.argmin(contact[first:]))

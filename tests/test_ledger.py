@@ -101,7 +101,7 @@ def test_effects_of_the_contact_count_as_the_same_numbers_of_the_mechanism(
     same = {"mechanism.contact": {"stiffness": stiffness, "damping": damping}}
     one = load_scenario(SCENARIO, set=late | {"effects": effects})
     other = load_scenario(SCENARIO, set=late | same)
-    assert acting_along_z(one) == pytest.approx((stiffness, damping), rel=1e-6)
+    assert acting_along_z(one.impact) == pytest.approx((stiffness, damping), rel=1e-6)
     figures = simulate([other]).figures[0]
     ledgers = [delay_ledger(s, figures) for s in (one, other)]
     for entry, equal in zip(*ledgers, strict=True):
@@ -116,7 +116,7 @@ def test_a_damper_that_grows_with_penetration_acts_as_that_of_its_describing_fun
     """F = k x (1 + alpha v) over a half sine: the part in phase with v is 4 alpha k X/(3 pi)."""
     alpha, speed = 4.0, 0.03
     effects = [{"kind": "contact.hunt_crossley", "alpha": alpha}]
-    found = acting_along_z(load_scenario(SCENARIO, set={"effects": effects}))
+    found = acting_along_z(load_scenario(SCENARIO, set={"effects": effects}).impact)
     assert found[0] == pytest.approx(K, rel=1e-4)
     assert found[1] == pytest.approx(4.0 * alpha * K * speed / W / (3.0 * math.pi), rel=1e-4)
 
@@ -141,7 +141,7 @@ def test_a_force_that_is_corrected_by_what_is_identified_is_predicted_as_it_runs
     summary = run(scenario).summary
     assert summary["cor_log_error"] > 0.004
     # the force steps by c v at touch and parting, anywhere within a tick: c h/mu of the speed each
-    instants = 2.0 * damping / (rate * effective_mass(scenario))
+    instants = 2.0 * damping / (rate * effective_mass(scenario.spacecraft))
     predicted, found = summary["cor_log_error_predicted"], summary["cor_log_error"]
     assert predicted == pytest.approx(found, abs=1.5e-3 + instants)
     assert summary["stability"]["rebound"] == pytest.approx(summary["cor"], rel=2e-3 + instants)

@@ -31,7 +31,7 @@ def test_a_head_on_hit_has_one_restitution_and_one_energy(late: hiltestbed.Run) 
         same = late.summary[name.replace("_normal", "")]
         assert late.summary[name] == pytest.approx(same, rel=1e-6)
     assert late.trace is not None
-    made = energy_generated(late.trace, approach_state(late.scenario), late.scenario.tick)
+    made = energy_generated(late.trace, approach_state(late.scenario.approach), late.scenario.tick)
     assert made[-1] == pytest.approx(late.summary["energy_generated"], rel=1e-9)
 
 
@@ -93,7 +93,9 @@ def test_restitution_along_the_impulse_is_that_of_the_energy(glancing: hiltestbe
     impulse = wrench.sum(axis=0)
     # m u^2/2 along it
     energy = (
-        0.5 * (impulse @ twist[first - 1]) ** 2 / (impulse @ mobility(glancing.scenario) @ impulse)
+        0.5
+        * (impulse @ twist[first - 1]) ** 2
+        / (impulse @ mobility(glancing.scenario.spacecraft) @ impulse)
     )
     assert summary["cor_normal"] == pytest.approx(math.sqrt(1.0 + change / energy), rel=0.01)
     assert summary["cor_normal"] > summary["cor_normal_reference"] * 1.02
@@ -210,5 +212,5 @@ def test_what_holds_from_the_start_is_measured_by_what_its_spring_stores() -> No
     stored = 0.5 * compliance * run.summary["peak_force"] ** 2
     speed = math.dist(run.scenario.approach.velocity, (0.0, 0.0, 0.0))
     assert run.summary["energy_reference"] == pytest.approx(
-        max(stored, 0.5 * effective_mass(run.scenario) * speed**2)
+        max(stored, 0.5 * effective_mass(run.scenario.spacecraft) * speed**2)
     )

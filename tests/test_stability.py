@@ -112,11 +112,11 @@ def test_the_critical_damping_of_a_second_order_with_delay() -> None:
     """The measured response, and the loop itself, are at their limit at the closed form's critical
     damping within 2 %.
     """
-    closed = critical_damping(effective_mass(late(1.0)), K)
+    closed = critical_damping(effective_mass(late(1.0).spacecraft), K)
     response = measured_response(late(closed))
     for factor, stable in ((1.02, True), (0.98, False)):
         scenario = late(factor * closed)
-        found = judge(scenario, response, 0.0, True, insertion(scenario), None)
+        found = judge(scenario, response, 0.0, True, insertion(scenario.impact), None)
         assert found.stable is stable
     around = np.array([0.9, 0.95, 1.0, 1.05, 1.1]) * closed
     t, x = motion([late(float(c)) for c in around])
@@ -162,7 +162,7 @@ def test_what_is_said_before_the_run_is_what_the_run_does() -> None:
     foretold = (
         -math.pi
         * said["net_damping"]
-        / (2.0 * effective_mass(s) * 2.0 * math.pi * said["frequency"])
+        / (2.0 * effective_mass(s.spacecraft) * 2.0 * math.pi * said["frequency"])
     )
     assert math.log(done["cor"]) == pytest.approx(foretold, abs=0.015)
     assert not said["stable"]
@@ -219,7 +219,7 @@ def test_the_worst_axis_is_what_the_verdict_says() -> None:
     assert set(by) == {"along x", "along y", "along z", "about x", "about y", "about z"}
     t, x = motion([s])
     for axis, name in ((0, "along x"), (2, "along z")):
-        expected = -by[name]["net_damping"] / (2.0 * effective_mass(s))
+        expected = -by[name]["net_damping"] / (2.0 * effective_mass(s.spacecraft))
         assert growth(t, x[:, 0, axis], 0.3) == pytest.approx(expected, rel=0.15, abs=0.02), name
 
 
@@ -230,11 +230,11 @@ def test_a_probe_that_meets_the_cone_off_the_axis_turns_both_bodies() -> None:
     s = shipped(
         "09-docking", {"approach.offset": [0.06, 0.0], "approach.attitude_deg": [0.0, 0.0, 0.0]}
     )
-    touch = first_touch(s)
+    touch = first_touch(s.impact)
     row, half = touch[0], math.sqrt(0.5)  # the cone has half an angle of 45 degrees
     expected = np.concatenate([[half, 0.0, half], np.cross([0.0, 0.0, -0.03], [half, 0.0, half])])
     np.testing.assert_allclose(row, expected, atol=1e-6)
-    way = next(d for d in directions(s) if d.name == "along the normal of the first touch")
+    way = next(d for d in directions(s.impact) if d.name == "along the normal of the first touch")
     total = 0.0
     for body, sense in ((s.spacecraft.chaser, 1.0), (s.spacecraft.target, 1.0)):
         arm = np.array(body.port.position) + sense * np.array([0.0, 0.0, -0.03])

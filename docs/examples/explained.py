@@ -55,7 +55,7 @@ def delay() -> None:
             linewidth=1.4,
             label=label,
         )
-        made = energy_generated(trace, approach_state(run.scenario), run.scenario.tick)
+        made = energy_generated(trace, approach_state(run.scenario.approach), run.scenario.tick)
         energy.plot(trace.t, 1e3 * made, color=color, linewidth=1.4)
     loop.set(xlabel="penetration [mm]", ylabel="force that the numerical model feels [N]")
     loop.legend(fontsize=8, frameon=False)

@@ -62,7 +62,7 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
         force = sum(delay for _, delay in delays) - platform
         delays.append(("compensation.platform", -_corrected(scenario, force, platform)))
     delays.append(("total", sum(delay for _, delay in delays)))
-    k, _ = acting_along_z(scenario)
+    k, _ = acting_along_z(scenario.impact)
     return [Delay(source, delay, 0.0 - k * delay) for source, delay in delays]
 
 
@@ -124,7 +124,7 @@ def _compensation(scenario: Scenario) -> Iterator[tuple[str, float]]:
 
 def contact_frequency(scenario: Scenario) -> float:
     """``w = sqrt(k/mu)`` [rad/s] of the contact with both bodies free."""
-    return math.sqrt(acting_along_z(scenario)[0] / effective_mass(scenario))
+    return math.sqrt(acting_along_z(scenario.impact)[0] / effective_mass(scenario.spacecraft))
 
 
 def predicted_log_error(scenario: Scenario, ledger: list[Delay]) -> float:

@@ -91,7 +91,7 @@ def rig_ahead(scenario: Scenario) -> tuple[str, ...]:
     speed, limit = scenario.approach.velocity[2], scenario.safety.force
     if scenario.mechanism.captured or speed <= 0.0:
         return ()
-    (k, c), mass = acting_along_z(scenario), effective_mass(scenario)
+    (k, c), mass = acting_along_z(scenario.impact), effective_mass(scenario.spacecraft)
     peak, found = SpringDamper(k, c, mass).peak_force(speed), []
     if limit is not None and peak > limit:
         found.append((f"is beyond safety.force, {limit:g} N", limit / peak))
@@ -119,7 +119,7 @@ def drives_in_contact(scenario: Scenario, drives: Demand, force: float) -> Array
     parts = np.array(built(scenario.rig.platform).tool_shares)
     sides = np.array([1.0, -1.0][: len(parts)])  # P does the opposite of A
     push = -force * INSERTION
-    accel = np.kron(sides * parts, mobility(scenario) @ push)
+    accel = np.kron(sides * parts, mobility(scenario.spacecraft) @ push)
     return drives.inertia @ accel + drives.load @ np.kron(sides, push)
 
 
@@ -127,13 +127,13 @@ def ahead(scenario: Scenario) -> tuple[str, ...]:
     """The verdict before a run: the uniform approach up to the nominal touch, and the peak force of
     a spring and damper along the insertion.
     """
-    mechanism, start = scenario.mechanism, approach_state(scenario)
+    mechanism, start = scenario.mechanism, approach_state(scenario.approach)
     if scenario.limits is None or mechanism.captured:
         return ()
     speed, pose = scenario.approach.velocity[2], start[:7].copy()
     if speed > 0.0:
         interpreted(pose_step)(start[:7], start[7:], scenario.approach.gap / speed, pose)
-    (k, c), mass = acting_along_z(scenario), effective_mass(scenario)
+    (k, c), mass = acting_along_z(scenario.impact), effective_mass(scenario.spacecraft)
     peak = SpringDamper(k, c, mass).peak_force(max(speed, 0.0))
     state = np.concatenate([pose, start[7:]])
     found = {"approach": conditions(state), "soft_capture": {"compression": peak}}

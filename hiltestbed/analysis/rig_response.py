@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.build import motion_command, runnable_from
 from hiltestbed.frames import Array, rotation_vectors
-from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.build import plant_of
 from hiltestbed.scenario import Scenario, resolved
 
 Complex = NDArray[np.complex128]
@@ -205,7 +205,7 @@ def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
     instants = np.arange(period * m) * tick / m
     push = FORCE_AMPLITUDE * np.sin(w * instants[:, None] + phase).sum(axis=1)
     runs = 2 * len(axes)
-    plant = Plant([scenario] * runs, force=_Pushes(push, axes))
+    plant = plant_of([scenario] * runs, force=_Pushes(push, axes))
     pose, twist, accel = (
         np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (runs, 1)),
         np.zeros((runs, 6)),

@@ -190,7 +190,7 @@ def worst_of(
 
     ``exact``: the method also compensates the platform.
     """
-    ways = directions(scenario)
+    ways = directions(scenario.impact)
     corrected = exact and scenario.compensation.motion.corrects_force
     simulated = (
         first_contact(scenario, ideal=exact and not corrected, corrected=corrected)
@@ -209,7 +209,7 @@ def worst_of(
             judge(scenario, measured_response(scenario), delay, compensated, ways[0], simulated)
         ]
     elif ways:
-        six, inverse = six_axis_response(scenario), mobility(scenario)
+        six, inverse = six_axis_response(scenario), mobility(scenario.spacecraft)
         judged += [
             judge(scenario, six.along(way.row, inverse), delay, compensated, way, simulated)
             for way in ways

@@ -93,19 +93,19 @@ class FirstContact:
         links = ("contact",) if ideal else ("contact", "platform")
         pairs = zip(scenario.effects, self._data["effects"], strict=True)
         self._effects = [keys for effect, keys in pairs if effect.link in links]
-        self._inverse, motion = mobility(scenario), scenario.compensation.motion
+        self._inverse, motion = mobility(scenario.spacecraft), scenario.compensation.motion
         self._motion = motion.model_dump(mode="json") if corrected else motion.of_the_rig()
         self._identification = self._data["identification"] if corrected else {"kind": "none"}
         speed = max(float(np.linalg.norm(scenario.approach.velocity)), APPROACH / LEAD[1])
         self._mass, self._lead = (
-            effective_mass(scenario),
+            effective_mass(scenario.spacecraft),
             min(touch, max(APPROACH / speed, LEAD[0])),
         )
-        self._stiffness, _ = acting_along_z(scenario)
+        self._stiffness, _ = acting_along_z(scenario.impact)
         self._own = self._lasts(self._stiffness, scenario.sensor.delay)
         self.simulable = self._own <= LONGEST
         if touch > self._lead:
-            start, pose = approach_state(scenario), np.empty(7)
+            start, pose = approach_state(scenario.approach), np.empty(7)
             interpreted(pose_step)(start[:7], start[7:], touch - self._lead, pose)
             x, y, z = (float(v) for v in pose[:3])
             attitude = attitude_deg_from_quat(pose[3:]).tolist()
@@ -184,7 +184,7 @@ def first_contact(
     """
     if scenario.mechanism.captured or not sides_of(scenario.mechanism).rigid:
         return None
-    touch = time_of_touch(scenario)
+    touch = time_of_touch(scenario.impact, scenario.duration)
     if touch is None:
         return None
     contact = FirstContact(scenario, touch, ideal, corrected)

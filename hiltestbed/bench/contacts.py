@@ -227,5 +227,6 @@ def effective_contact(contact: BenchContact) -> float:
     """w tau of a contact, including the lever arms of an off-axis hit."""
     scenario = contact.scenario({"kind": "none"})
     return (
-        math.sqrt(scenario.mechanism.contact.stiffness / effective_mass(scenario)) * contact.delay
+        math.sqrt(scenario.mechanism.contact.stiffness / effective_mass(scenario.spacecraft))
+        * contact.delay
     )

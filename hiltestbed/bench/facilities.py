@@ -66,7 +66,7 @@ def facilities_entered() -> dict[str, dict[str, Any]]:
 
 def bounce(platform: dict[str, Any], stiffness: float) -> Scenario:
     """A bumper of a stiffness [N/m] between two free bodies, within reach of every facility."""
-    mass = effective_mass(load_scenario("18-stewart"))
+    mass = effective_mass(load_scenario("18-stewart").spacecraft)
     keys = {
         "mechanism.contact.stiffness": stiffness,
         "mechanism.contact.damping": 2.0 * RATIO * math.sqrt(stiffness * mass),
@@ -158,7 +158,7 @@ def tuned(runs: list[Scenario], wanted: list[float | None]) -> list[Scenario]:
     for run, figures, cor in zip(runs, trial.figures, wanted, strict=True):
         settings = run.compensation.force.model_dump(mode="json")
         if figures.cor is not None and cor is not None:
-            mass = effective_mass(run)
+            mass = effective_mass(run.spacecraft)
             each = math.pi / (2.0 * mass * math.sqrt(run.mechanism.contact.stiffness / mass))
             settings["damping"] = max(0.0, settings["damping"] + math.log(figures.cor / cor) / each)
         motion = run.compensation.motion.model_dump(mode="json")

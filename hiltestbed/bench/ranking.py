@@ -119,8 +119,8 @@ def rank(scenario: Scenario, progress: Progress | None = None) -> BenchResult:
 
 
 def _briefing(scenario: Scenario) -> Briefing:
-    stiffness, damping = acting_along_z(scenario)
-    mass = effective_mass(scenario)
+    stiffness, damping = acting_along_z(scenario.impact)
+    mass = effective_mass(scenario.spacecraft)
     speed = math.dist(scenario.approach.velocity, (0.0, 0.0, 0.0))
     peak = speed * math.sqrt(stiffness * mass)
     return Briefing(stiffness, damping, peak, scenario.sensor.delay)

@@ -280,7 +280,7 @@ def boundary_applies(scenario: Scenario) -> bool:
 def boundary_margin(scenario: Scenario) -> tuple[float, float]:
     """The delay beyond the limits of closed contact and bounce [s]; positive: energy is added."""
     delay = SensorParameters.believed(scenario.sensor).with_effects(scenario.effects).delay
-    contact = SpringDamper(*acting_along_z(scenario), effective_mass(scenario))
+    contact = SpringDamper(*acting_along_z(scenario.impact), effective_mass(scenario.spacecraft))
     return delay - contact.critical_delay, delay - contact.neutral_delay
 
 

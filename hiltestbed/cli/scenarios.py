@@ -166,9 +166,10 @@ def rig(
     hiltestbed rig my-rig.yaml --model rig.mjb && python -m mujoco.viewer --mjcf rig.mjb
     """
     if model is not None:
+        from hiltestbed.platform.build import plant_of
         from hiltestbed.platform.plant import write_model
 
-        print(write_model(read_scenario(scenario, sets), model))
+        print(write_model(plant_of([read_scenario(scenario, sets)]).model, model))
         return
     from hiltestbed.platform.rig_report import RIG, measure_rig, write_rig
     from hiltestbed.process.progress import count_bar

@@ -58,7 +58,7 @@ class ForceMethod(Strictly):
         """
         from hiltestbed.contact.directions import acting_along_z
 
-        removed = self.removed(scenario.sensor.delay, acting_along_z(scenario)[0])
+        removed = self.removed(scenario.sensor.delay, acting_along_z(scenario.impact)[0])
         return {} if removed is None else {self.kind: removed}
 
     def removed(self, delay: float, stiffness: float) -> float | None:
@@ -171,7 +171,7 @@ class BlockMethod(ForceMethod):
     @classmethod
     def start(cls, scenarios: Sequence[ScenarioLike], model: NumericalModel) -> ForceBlock:
         delay = np.array([s.sensor.delay for s in scenarios])
-        mass = np.array([effective_mass(s) for s in scenarios])
+        mass = np.array([effective_mass(s.spacecraft) for s in scenarios])
         captures = scenarios[0].mechanism.captures
         path = ForcePath(scenarios[0].rate, delay, mass, captures, model)
         return cls.block(force_of(scenarios, cls), path)

@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from hiltestbed.contact.directions import acting_along_z
-from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.scenario.idle import given_in_vain
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ def warnings(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _warnings(scenario: Scenario) -> Iterator[str]:
-    (stiffness, damping), mass = acting_along_z(scenario), effective_mass(scenario)
+    (stiffness, damping), mass = acting_along_z(scenario.impact), scenario.impact.mass
     frequency = math.sqrt(stiffness / mass)  # [rad/s]
     lasts = math.pi / frequency
     ticks, instants = lasts * scenario.rate, lasts * scenario.physics_rate
@@ -105,7 +104,7 @@ def _too_far(scenario: Scenario) -> Iterator[str]:
 
 def _drowned(scenario: Scenario, frequency: float) -> Iterator[str]:
     """A force that never exceeds the sensor's noise."""
-    peak = acting_along_z(scenario)[0] * abs(scenario.approach.velocity[2]) / frequency
+    peak = acting_along_z(scenario.impact)[0] * abs(scenario.approach.velocity[2]) / frequency
     if 0.0 < peak < scenario.sensor.noise:
         yield (
             f"the sensor's noise, {scenario.sensor.noise:.3g} N, is more than the contact's peak "
@@ -120,7 +119,7 @@ def _too_deep(scenario: Scenario, frequency: float) -> Iterator[str]:
     """
     if scenario.mechanism.captured:
         return
-    share = min(1.0, acting_along_z(scenario)[0] / scenario.mechanism.contact.stiffness)
+    share = min(1.0, acting_along_z(scenario.impact)[0] / scenario.mechanism.contact.stiffness)
     deepest, tip = share * abs(scenario.approach.velocity[2]) / frequency, _tip(scenario)
     if tip is not None and deepest > 2 * tip:
         yield (

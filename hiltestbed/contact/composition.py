@@ -15,7 +15,7 @@ laws and other surfaces see :mod:`hiltestbed.contact.engagement`.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -28,13 +28,15 @@ from hiltestbed.contact import mount
 from hiltestbed.contact.geometry import ACTIVE as A
 from hiltestbed.contact.geometry import FRAMES
 from hiltestbed.contact.geometry import PASSIVE as S
+from hiltestbed.contact.parameters import DAMPING, STIFFNESS, acting_contacts
 from hiltestbed.contact.sides import Pair, Sides, sides_of
 from hiltestbed.contact.wrench import LATCH_RADIUS
+from hiltestbed.effects.table import by_link
 from hiltestbed.frames import Array, quat_to_mujoco
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
+    from hiltestbed.effects.base import Effect
 
 ACTIVE, PASSIVE = "active_", "passive_"
 PREFIXES = {"A": ACTIVE, "P": PASSIVE}  # by the port of a side
@@ -145,17 +147,14 @@ def closures_of(structure: Structure) -> list[ComposedClosure]:
     return found
 
 
-def structure_of(mechanism: Mechanism, departs: bool, rubs: bool) -> Structure:
-    """The structure of a mechanism's model.
-
-    Args:
-        departs: whether effects change the law. rubs: whether friction acts, from the mechanism's
-            settings or an effect.
-    """
+def structure_of(mechanism: Mechanism, effects: Iterable[Effect]) -> Structure:
+    """The structure of a mechanism's model, with the ``effects`` on its contacts."""
+    acting = by_link(effects, "contact")
+    rubs = any(c.friction > 0.0 for c in acting_contacts(mechanism, acting)[:-1])
     mounted = mechanism.mount is not None
     latched = mechanism.captured or mechanism.latch is not None
     constant = (
-        not (departs or rubs or mounted or latched or mechanism.phases())
+        not (acting or rubs or mounted or latched or mechanism.phases())
         and sides_of(mechanism).exact
     )
     return Structure(mechanism.shape(), mounted, constant, rubs, latched, mechanism)
@@ -391,12 +390,13 @@ def _latches(spec: mujoco.MjSpec, structure: Structure) -> None:
         )
 
 
-def set_linear(batch: Batch, scenarios: Sequence[Scenario]) -> None:
-    """Set each run of a batch to its scenario's stiffness and damping."""
-    contacts, m = [s.mechanism.contact for s in scenarios], batch.model
-    gain = inverse_mass(m, m.geom_bodyid[np.stack([m.pair_geom1, m.pair_geom2])])
-    stiffness = np.array([c.stiffness for c in contacts])
-    damping = np.array([c.damping for c in contacts])
-    solref = batch.expand("pair_solref")
-    solref[..., 0] = -stiffness[:, None] * gain
-    solref[..., 1] = np.minimum(-damping[:, None] * gain, NO_DAMPING)
+def set_linear(batch: Batch, laws: Array) -> None:
+    """Set the pairs of a ``constant`` structure to the stiffness and damping of their ``laws`` (n,
+    T + 1, PARAMETERS).
+    """
+    m, count = batch.model, laws.shape[1] - 1
+    pairs = [m.pair(f"native_{k}").id for k in range(count)]
+    geoms = np.stack([m.pair_geom1, m.pair_geom2])[:, pairs]
+    gain, solref = inverse_mass(m, m.geom_bodyid[geoms]), batch.expand("pair_solref")
+    solref[:, pairs, 0] = -laws[:, :-1, STIFFNESS] * gain
+    solref[:, pairs, 1] = np.minimum(-laws[:, :-1, DAMPING] * gain, NO_DAMPING)

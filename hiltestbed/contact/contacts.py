@@ -4,8 +4,7 @@ latch, mount, applied wrenches.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -15,12 +14,10 @@ from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.contact.composition import ACTIVE, Structure, set_linear
 from hiltestbed.contact.engagement import Engagement
 from hiltestbed.contact.mount import Mounts
+from hiltestbed.contact.parameters import MechanismParameters
 from hiltestbed.contact.wrench import load_body, to_frame
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, rotate, rotate_back
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 class AppliedForce(Protocol):
@@ -44,24 +41,24 @@ class Contacts:
     def __init__(
         self,
         batch: Batch,
-        scenarios: Sequence[Scenario],
+        parameters: MechanismParameters,
         structure: Structure,
         dt: float,
         least_creep: float,
         force: AppliedForce | None,
     ) -> None:
         """``dt``, ``least_creep``: see :class:`Engagement`. ``force``: replaces the contacts."""
-        n, model = len(scenarios), batch.model
+        n, model = len(parameters.laws), batch.model
         self._force, self._engagement = force, None
         if structure.touches and structure.constant:
-            set_linear(batch, scenarios)
+            set_linear(batch, parameters.laws)
         elif structure.touches:
-            self._engagement = Engagement(batch, scenarios, structure, dt, least_creep)
+            self._engagement = Engagement(batch, parameters.laws, structure, dt, least_creep)
         engagement = self._engagement
         tilt = (
             engagement.tilt if engagement else np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1))
         )
-        self.mount = Mounts(batch, scenarios, tilt)
+        self.mount = Mounts(batch, parameters.mounts, tilt)
         self.written = engagement is not None or force is not None or self.mount.moves
         self.stage = engagement.stage if engagement else int(mujoco.mjtStage.mjSTAGE_NONE)
         self.touching = engagement.touching if engagement else np.zeros(n, dtype=bool)

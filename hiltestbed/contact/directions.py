@@ -9,20 +9,15 @@ has the effective mass 1/(J M^-1 J^T).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hiltestbed.compiled.jit import interpreted
-from hiltestbed.contact.law import Pair, acting_contacts, acting_law, in_series
-from hiltestbed.contact.sides import sides_of
-from hiltestbed.contact.touch import BEYOND, INSERTION, STOPS, Meeting, first_touch
+from hiltestbed.contact.law import Pair, acting_law, in_series
+from hiltestbed.contact.parameters import ContactParameters
+from hiltestbed.contact.touch import BEYOND, INSERTION, STOPS, Impact, Meeting, first_touch
 from hiltestbed.contact.wrench import LATCH_RADIUS
 from hiltestbed.frames import Array, pose_step
-from hiltestbed.numerical_model.bodies import approach_state, effective_mass, mobility
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 ALIKE = 1e-6  # largest difference between the components of two equal directions
@@ -51,42 +46,40 @@ class Direction:
     first: bool = False
 
 
-def insertion(scenario: Scenario) -> Direction:
+def insertion(impact: Impact) -> Direction:
     """Along z at P's origin."""
-    mass, (stiffness, damping) = effective_mass(scenario), acting_along_z(scenario)
-    return Direction(
-        "along z", INSERTION, mass, stiffness, damping, pulls=scenario.mechanism.captured
-    )
+    pulls = impact.mechanism.captured
+    return Direction("along z", INSERTION, impact.mass, *acting_along_z(impact), pulls=pulls)
 
 
-def acting_along_z(scenario: Scenario) -> Pair:
+def acting_along_z(impact: Impact) -> Pair:
     """Stiffness [N/m] and damping [N s/m] with which a contact along the insertion acts, effects
     included, with the mount in series: of all contacts and parts of a centred touch that pushes
     along z, of the first rule's contact on any other surface, of the latch once captured.
     """
-    mechanism, laws = scenario.mechanism, acting_contacts(scenario)
-    touch = None if mechanism.flat else first_touch(scenario, centred=True)
+    mechanism = impact.mechanism
+    touch = None if mechanism.flat else first_touch(impact.centred())
     if touch is not None and np.abs(touch.row - INSERTION).max() <= ALIKE:
         found = touch.stiffness, touch.damping
     else:
-        law, speed = laws[-1 if mechanism.captured else 0], abs(scenario.approach.velocity[2])
-        found = acting_law(law, effective_mass(scenario), speed)
+        law = impact.laws[-1 if mechanism.captured else 0]
+        found = acting_law(law, impact.mass, abs(impact.approach.velocity[2]))
     mount = mechanism.mount
     return found if mount is None else in_series(found, (mount.stiffness[2], mount.damping[2]))
 
 
-def directions(scenario: Scenario) -> list[Direction]:
-    """The insertion, then every other direction in which the contact of a scenario acts.
+def directions(impact: Impact) -> list[Direction]:
+    """The insertion, then every other direction in which the contact acts.
 
     Only the insertion is given if the mechanism has moving parts or native pairs: the first touch
     then does not follow from the pose alone, and the mechanism's own springs are in series with its
     latches.
     """
-    mechanism, inverse = scenario.mechanism, mobility(scenario)
+    mechanism, inverse = impact.mechanism, impact.mobility
     if mechanism.captured:
-        return _modes(scenario, inverse, "")
-    found = [insertion(scenario)]
-    touch = first_touch(scenario) if sides_of(mechanism).rigid else None
+        return _modes(impact.laws[-1], inverse, "")
+    found = [insertion(impact)]
+    touch = first_touch(impact) if impact.sides.rigid else None
     if touch is not None and np.abs(touch.row - INSERTION).max() <= ALIKE:
         found = [replace(found[0], first=True)]
     elif touch is not None:
@@ -103,16 +96,17 @@ def directions(scenario: Scenario) -> list[Direction]:
                 first=True,
             )
         )
-    return found + (_modes(scenario, inverse, ", latched") if mechanism.latch is not None else [])
+    if mechanism.latch is not None:
+        found += _modes(impact.laws[-1], inverse, ", latched")
+    return found
 
 
-def _modes(scenario: Scenario, inverse: Array, when: str) -> list[Direction]:
+def _modes(latch: ContactParameters, inverse: Array, when: str) -> list[Direction]:
     """The modes phi of a latch's six springs K between both bodies, K phi = w^2 M phi. A mode is
     named after the axis with most of its energy, to whose displacement mass, stiffness and damping
     refer. The ratio c/k is equal for all six springs, so that a mode is one direction, J = phi^T
     K/(phi^T K phi).
     """
-    latch = acting_contacts(scenario)[-1]
     springs = latch.stiffness * np.array([1.0] * 3 + [LATCH_RADIUS**2] * 3)
     root = np.sqrt(springs)
     squares, shapes = np.linalg.eigh(root[:, None] * inverse * root)
@@ -137,20 +131,20 @@ def _modes(scenario: Scenario, inverse: Array, when: str) -> list[Direction]:
     return found
 
 
-def time_of_touch(scenario: Scenario) -> float | None:
+def time_of_touch(impact: Impact, duration: float) -> float | None:
     """Time [s] of the last of :data:`STOPS` instants before the first touch of the uniform
     approach, whether or not the run ends before it; None if it does not follow from the pose alone,
     or if nothing touches up to :data:`BEYOND` after the nominal touch or, for an approach that does
-    not lead there, within the run.
+    not lead there, within the run's ``duration`` [s].
     """
-    sides = sides_of(scenario.mechanism)
+    sides = impact.sides
     if not sides.rigid or not sides.geometry.count:
         return None
-    meeting, start = Meeting(sides), approach_state(scenario)
-    pose, end = start[:7].copy(), scenario.duration
-    ahead = scenario.approach.velocity[2]
+    meeting, start = Meeting(sides), impact.start
+    pose, end = start[:7].copy(), duration
+    ahead = impact.approach.velocity[2]
     if ahead > 0.0:  # beyond BEYOND after the nominal touch no first touch is possible
-        end = (scenario.approach.gap + BEYOND) / ahead
+        end = (impact.approach.gap + BEYOND) / ahead
     times = np.linspace(0.0, end, STOPS)
     # where depths are distances, nothing touches before they are covered
     speed = float(np.linalg.norm(start[7:10]))

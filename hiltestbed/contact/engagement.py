@@ -18,8 +18,7 @@ the force is :attr:`pull`, to be applied as an external wrench.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -51,7 +50,7 @@ from hiltestbed.contact.geometry import ACTIVE as A
 from hiltestbed.contact.geometry import FRAMES
 from hiltestbed.contact.geometry import PASSIVE as S
 from hiltestbed.contact.latches import Latches, hold
-from hiltestbed.contact.law import STATES, acting_contacts
+from hiltestbed.contact.law import STATES
 from hiltestbed.contact.legs import RingLegs
 from hiltestbed.contact.parameters import (
     ADHESION,
@@ -60,14 +59,10 @@ from hiltestbed.contact.parameters import (
     MODE,
     OFFSET,
     ContactParameters,
-    contact_rows,
 )  # fmt: skip
 from hiltestbed.contact.wrench import tilts
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_mul, rotate_back
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 WIDE = 10.0  # friction coefficient of MuJoCo's cone, which must not act, over the true one
 
@@ -94,18 +89,19 @@ class Engagement:
     def __init__(
         self,
         batch: Batch,
-        scenarios: Sequence[Scenario],
+        laws: Array,
         structure: Structure,
         dt: float,
         least_creep: float,
     ) -> None:
-        """``dt`` [s] between two instants; ``least_creep`` [m/s per N] limits the slope of friction
+        """``laws``: (n, T + 1, PARAMETERS), the latch's last. ``dt`` [s] between two instants;
+        ``least_creep`` [m/s per N] limits the slope of friction
         to what one step can resolve, v_0 >= least_creep mu |F|.
         """
-        n, sides = len(scenarios), structure.sides
+        n, sides = len(laws), structure.sides
         self._geometry, self._facets = sides.geometry, len(sides.facets)
         pairs = (*sides.facets, *sides.native)
-        self.parameters = np.array([_rows(s, sides.rules) for s in scenarios])
+        self.parameters = laws
         self.linear = _linear(self.parameters[:, :-1])
         self._live = np.ones((n, len(pairs)), dtype=bool)
         self.tilt = tilts(self.parameters[:, -1])
@@ -123,7 +119,7 @@ class Engagement:
         self.latches = Latches(batch, structure, self.parameters[:, -1])
         ring = structure.mechanism.actuated()
         self.legs = None if ring is None else RingLegs(batch, ring, n, dt)
-        self._captured = scenarios[0].mechanism.captured
+        self._captured = structure.mechanism.captured
         self.latched = np.zeros(n, dtype=bool)
         self._updated = Call(_update, (GIVEN,) * 4, *self._parts(dt, least_creep))
         k = self.latches.number(LATCH) if structure.latched else None
@@ -201,11 +197,6 @@ class Engagement:
                 "this mechanism has no latch between A and S; allowed are mechanisms that have one"
             )
         return self._relative
-
-
-def _rows(scenario: Scenario, rules: Sequence[int]) -> Array:
-    """``(T + 1, PARAMETERS)`` rows of each pair and of the latch, effects included."""
-    return contact_rows(acting_contacts(scenario), rules, scenario.mechanism.captured)
 
 
 def _linear(rows: Array) -> NDArray[np.bool_]:

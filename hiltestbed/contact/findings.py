@@ -133,7 +133,7 @@ def remarks(scenario: ScenarioLike) -> list[str]:
                     f"can meet ({what}; {contact.stiffness:g} N/m, {contact.damping:g} N s/m, "
                     f"friction {contact.friction:g}): {_listed(found)}"
                 )
-    if nothing_met(scenario):
+    if nothing_met(scenario.impact):
         out.append(
             f"nothing touches on the straight way along z from the start to {1e3 * BEYOND:g} mm "
             f"beyond the nominal touch: look where the sites A and P stand (at the foremost points "

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -55,11 +54,7 @@ from hiltestbed.contact.parameters import (
     STOP,
     STOP_STIFFNESS,
     ContactParameters,
-    believed_contacts,
 )  # fmt: skip
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 BRANCH, TOUCHING, DEFLECTION, DEFLECTION_RATE, SLIDER, LEARNED_SLIDER, STATES = 0, 1, 2, 3, 4, 5, 6
 SLIP_SPEED = 2e-4  # [m/s] sgn(v) is tanh(v/SLIP_SPEED)
@@ -259,11 +254,6 @@ def _ringing(x, v, dt, p, memory, q, rate, held):
 Pair = tuple[float, float]
 PHASES = 400  # of the half sine: midpoints, error of order 1/PHASES^2
 ROUNDS, SAME = 60, 1e-9  # of the iteration for w; relative change at which it has converged
-
-
-def acting_contacts(scenario: Scenario) -> list[ContactParameters]:
-    """The contact of each rule of the mechanism, and last of its latch, effects included."""
-    return [c.with_effects(scenario.effects) for c in believed_contacts(scenario.mechanism)]
 
 
 def in_series(first: Pair, second: Pair) -> Pair:

@@ -9,9 +9,6 @@ weight's changing lever arm at the sensor, would appear in the torque readings.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
@@ -19,9 +16,6 @@ from mujoco.batch import Batch
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.frames import Array, quat_mul, rotate, sin_cos
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 # bodies: the carrier of the force sensor, and the passive side on its mount
@@ -49,20 +43,21 @@ class Mounts:
             rigid mount.
     """
 
-    def __init__(self, batch: Batch, scenarios: Sequence[Scenario], tilt: Array) -> None:
-        """``tilt``: (n, 7) pose of S in its nominal frame, of a misaligned port."""
-        n = len(scenarios)
-        model = batch.model
+    def __init__(self, batch: Batch, springs: tuple[Array, Array] | None, tilt: Array) -> None:
+        """``springs``: see :func:`hiltestbed.contact.parameters.mounts_of`. ``tilt``: (n, 7) pose
+        of S in its nominal frame, of a misaligned port.
+        """
+        n, model = len(tilt), batch.model
         self.tilt = tilt
         self.place, self.motion = tilt.copy(), np.zeros((n, 6))
-        self.moves = scenarios[0].mechanism.mount is not None
+        self.moves = springs is not None
         self.body = model.body(MOUNTED if self.moves else CARRIER).id
         self._offset = np.array(model.body_ipos[self.body])
         self.centre, self.balance = np.tile(self._offset, (n, 1)), np.zeros((n, 6))
         self._ridden = Call(
             _ride, GIVEN, GIVEN, tilt, self._offset, self.place, self.motion, self.centre
         )
-        if not self.moves:
+        if springs is None:
             return
         middle, mass = centre_of(model, self.body)
         self.balance[:, :3] = -np.array(model.opt.gravity) * mass
@@ -70,11 +65,8 @@ class Mounts:
         adr = np.array([joints[0].qposadr[0], joints[0].dofadr[0]])
         points, seat = np.array([self._offset, middle]), (self.place, self.motion, self.centre)
         self._seen = Call(_observe, GIVEN, GIVEN, adr, tilt, points, *seat, self.balance)
-        stiffness, damping = batch.expand("jnt_stiffness"), batch.expand("dof_damping")
-        for i, s in enumerate(scenarios):
-            assert s.mechanism.mount is not None  # one structure
-            stiffness[i, [j.id for j in joints]] = s.mechanism.mount.stiffness
-            damping[i, adr[1] : adr[1] + 6] = s.mechanism.mount.damping
+        batch.expand("jnt_stiffness")[:, [j.id for j in joints]] = springs[0]
+        batch.expand("dof_damping")[:, adr[1] : adr[1] + 6] = springs[1]
 
     def observe(self, qpos: Array, qvel: Array) -> None:
         """Set ``place`` and ``motion`` from the joints; on a rigid mount they do not change."""

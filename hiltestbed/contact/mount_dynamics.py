@@ -17,10 +17,11 @@ from scipy.signal import lfilter
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import PASSIVE, add_side
 from hiltestbed.contact.mount import MOUNTED
+from hiltestbed.contact.parameters import mounts_of
 from hiltestbed.frames import Array, sin_cos
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
+    from hiltestbed.contact.settings import Mechanism
 
 
 @dataclass(frozen=True)
@@ -39,17 +40,14 @@ class MountDynamics:
     body: Array
 
     @classmethod
-    def of(cls, scenarios: Sequence[Scenario]) -> MountDynamics | None:
-        """The mounts of scenarios with one mechanism; None if its mount is rigid."""
-        if scenarios[0].mechanism.mount is None:
+    def of(cls, mechanisms: Sequence[Mechanism]) -> MountDynamics | None:
+        """The mounts of mechanisms of one shape; None if they are rigid."""
+        springs = mounts_of(mechanisms)
+        if springs is None:
             return None
-        mounts = [s.mechanism.mount for s in scenarios if s.mechanism.mount is not None]
         spec = mujoco.MjSpec()
-        add_side(spec, scenarios[0].mechanism, PASSIVE, spec.worldbody.add_body(name=MOUNTED))
-        body = carried(spec.compile())
-        return cls(
-            np.array([m.stiffness for m in mounts]), np.array([m.damping for m in mounts]), body
-        )
+        add_side(spec, mechanisms[0], PASSIVE, spec.worldbody.add_body(name=MOUNTED))
+        return cls(*springs, carried(spec.compile()))
 
     @cached_property
     def mobility(self) -> tuple[float, float]:
@@ -67,20 +65,17 @@ class MountDynamics:
         return out
 
 
-def borne(scenario: Scenario, reading: Array) -> Array:
+def borne(mechanism: Mechanism, tick: float, reading: Array) -> Array:
     """``(N, 6)`` contact wrench for a ``reading`` (N, 6) of the sensor behind the mount, both in P
-    at P's origin.
+    at P's origin, one row per ``tick`` [s].
 
     The body on the mount has inertia: w = r + M q'' with r = K q + C q', to first order in the
         mount's motion q. Without a compliant mount they are equal.
     """
-    dynamics = MountDynamics.of([scenario])
+    dynamics = MountDynamics.of([mechanism])
     if dynamics is None:
         return reading
-    stiffness = dynamics.stiffness[0]
-    damping = dynamics.damping[0]
-    body = dynamics.body
-    h = scenario.tick
+    stiffness, damping, h = dynamics.stiffness[0], dynamics.damping[0], tick
     rate = np.empty_like(reading)
     for j in range(6):
         if damping[j] > 0.0:  # q' = (r - K q)/C, r linear over a tick
@@ -90,7 +85,7 @@ def borne(scenario: Scenario, reading: Array) -> Array:
             rate[:, j] = (reading[:, j] - pressed) / damping[j]
         else:
             rate[:, j] = np.gradient(reading[:, j], h) / stiffness[j]
-    return np.asarray(reading + np.gradient(rate, h, axis=0) @ _inertia(body).T)
+    return np.asarray(reading + np.gradient(rate, h, axis=0) @ _inertia(dynamics.body).T)
 
 
 def _inertia(body: Array) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
-    from hiltestbed.contact.settings import Contact, Mechanism
+    from hiltestbed.contact.settings import Contact, Latch, Mechanism
 
 
 @dataclass
@@ -114,6 +114,12 @@ def believed_contacts(mechanism: Mechanism) -> list[ContactParameters]:
     return [ContactParameters.believed(c) for c in contacts]
 
 
+def acting_contacts(mechanism: Mechanism, effects: Iterable[Effect]) -> list[ContactParameters]:
+    """As :func:`believed_contacts`, with ``effects``."""
+    acting = list(effects)
+    return [c.with_effects(acting) for c in believed_contacts(mechanism)]
+
+
 def contact_rows(
     contacts: Sequence[ContactParameters], rules: Sequence[int], captured: bool
 ) -> Array:
@@ -126,6 +132,53 @@ def contact_rows(
     latch = contacts[-1] if captured else copy(contacts[-1]).after_capture()
     rows = np.array([c.row() for c in (*contacts[:-1], latch)])
     return rows[[*rules, len(rows) - 1]]
+
+
+def mounts_of(mechanisms: Sequence[Mechanism]) -> tuple[Array, Array] | None:
+    """``(n, 6)`` stiffness [N/m, N m/rad] and damping [N s/m, N m s/rad] of compliant mounts; None
+    if they are rigid.
+    """
+    if mechanisms[0].mount is None:
+        return None
+    mounts = [m.mount for m in mechanisms if m.mount is not None]
+    return np.array([m.stiffness for m in mounts]), np.array([m.damping for m in mounts])
+
+
+def latch_limits(latches: Iterable[Latch | None]) -> Array:
+    """``(n, 3)`` limits at which latches close: depth [m] (pz >= -depth), least cosine between the
+    axes, highest speed [m/s]; without a latch they are never met.
+    """
+    never = (-np.inf, 2.0, 0.0)
+    return np.array(
+        [(la.depth, np.cos(np.radians(la.angle_deg)), la.speed) if la else never for la in latches]
+    )
+
+
+class MechanismParameters(NamedTuple):
+    """The numbers of `n` mechanisms of one structure.
+
+    Attributes:
+        laws: (n, T + 1, PARAMETERS) see :func:`contact_rows`. mounts: see :func:`mounts_of`.
+            closing: (n, 3) see :func:`latch_limits`.
+    """
+
+    laws: Array
+    mounts: tuple[Array, Array] | None
+    closing: Array
+
+
+def mechanism_parameters(
+    mechanisms: Sequence[Mechanism], effects: Iterable[Iterable[Effect]], rules: Sequence[int]
+) -> MechanismParameters:
+    """The parameters of ``mechanisms`` under the ``effects`` of each; ``rules``: (T,) as for
+    :func:`contact_rows`.
+    """
+    laws = [
+        contact_rows(acting_contacts(m, acting), rules, m.captured)
+        for m, acting in zip(mechanisms, effects, strict=True)
+    ]
+    closing = latch_limits(m.latch for m in mechanisms)
+    return MechanismParameters(np.array(laws), mounts_of(mechanisms), closing)
 
 
 # The columns of a row, named after the fields; a curve takes PACKED columns, the first of which is

@@ -9,7 +9,7 @@ latch closes, its actuators get their commands, its geoms no longer touch.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -27,9 +27,6 @@ from hiltestbed.contact.sides import Sides
 from hiltestbed.contact.wrench import relate_one
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 class _Condition(NamedTuple):
@@ -186,23 +183,13 @@ def _look(k, tick, condition, qpos, frames, motions, begun, held, due):
         held[i] += tick
 
 
-def latch_limits(scenarios: Sequence[Scenario]) -> Array:
-    """``(n, 3)`` limits at which latches close: depth [m] (pz >= -depth), least cosine between the
-    axes, highest speed [m/s]; without a latch they are never met.
-    """
-    latches = [s.mechanism.latch for s in scenarios]
-    never = (-np.inf, 2.0, 0.0)
-    return np.array(
-        [(la.depth, np.cos(np.radians(la.angle_deg)), la.speed) if la else never for la in latches]
-    )
-
-
 class LatchCondition:
     """The closing conditions of `n` runs: depth, alignment and speed, all at once."""
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        self._closing = np.zeros(len(scenarios), dtype=bool)
-        self._due = Call(_due, GIVEN, GIVEN, latch_limits(scenarios), GIVEN, self._closing)
+    def __init__(self, limits: Array) -> None:
+        """``limits``: (n, 3), see :func:`hiltestbed.contact.parameters.latch_limits`."""
+        self._closing = np.zeros(len(limits), dtype=bool)
+        self._due = Call(_due, GIVEN, GIVEN, limits, GIVEN, self._closing)
 
     def close(self, engagement: Engagement) -> None:
         """Latch the runs whose condition holds at the state of the last update."""
@@ -212,7 +199,9 @@ class LatchCondition:
 
 @njit(cache=True)
 def closes(pose, twist, limits):
-    """Whether a latch closes; ``limits`` (3,) as in :func:`latch_limits`."""
+    """Whether a latch closes; ``limits`` (3,) as in
+    :func:`hiltestbed.contact.parameters.latch_limits`.
+    """
     aligned = 1.0 - 2.0 * (pose[3] ** 2 + pose[4] ** 2)  # cosine between the axes
     speed2 = twist[0] ** 2 + twist[1] ** 2 + twist[2] ** 2
     return pose[2] >= -limits[0] and aligned >= limits[1] and speed2 <= limits[2] ** 2

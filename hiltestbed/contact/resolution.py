@@ -9,18 +9,10 @@ between a wall and its spring.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, TypeVar
 
 from hiltestbed.contact.directions import acting_along_z
-from hiltestbed.contact.sides import sides_of
-from hiltestbed.contact.touch import first_touch
-from hiltestbed.numerical_model.bodies import effective_mass
+from hiltestbed.contact.touch import Impact, first_touch
 from hiltestbed.scenario.like import HIGHEST
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
-
-SomeScenario = TypeVar("SomeScenario", bound="Scenario")
 
 # steps in half a period of the fastest motion: an error of 0.25 %
 STEPS = 100.0
@@ -31,57 +23,46 @@ TOLERANCE = 1.0 / (4.0 * 0.5 * STEPS)
 LEAST = 2
 
 
-def error_bound(scenario: Scenario) -> float:
-    """Relative error of the rebound that the physics step may cause in the first contact: 1/(4 n)
-    for n steps in half a period of the fastest motion.
+def error_bound(impact: Impact, physics_rate: float) -> float:
+    """Relative error of the rebound that steps at ``physics_rate`` [Hz] may cause in the first
+    contact: 1/(4 n) for n steps in half a period of the fastest motion.
     """
-    return _fastest(scenario) / (4.0 * math.pi * scenario.physics_rate)
+    return _fastest(impact) / (4.0 * math.pi * physics_rate)
 
 
-def with_half_the_step(scenario: SomeScenario) -> SomeScenario | None:
-    """The scenario with half the physics step, for comparison; None if the step is short enough by
-    :func:`error_bound`, or cannot be halved.
+def rate_for_comparison(impact: Impact, physics_rate: float) -> float | None:
+    """Twice the ``physics_rate`` [Hz]; None if that is enough by :func:`error_bound`, or cannot be
+    doubled.
     """
-    rate = 2.0 * scenario.physics_rate
-    if error_bound(scenario) <= TOLERANCE or rate > HIGHEST:
-        return None
-    return scenario.model_copy(update={"stated_physics_rate": rate})
+    rate = 2.0 * physics_rate
+    return rate if error_bound(impact, physics_rate) > TOLERANCE and rate <= HIGHEST else None
 
 
-def unconverged(scenario: Scenario, cor: float | None, halved: float | None) -> str | None:
-    """The warning that a reference's rebound is not that of a shorter physics step: ``cor``, and
-    with the step ``halved``; Euler's error is twice their difference. None if it is small.
+def converged(cor: float | None, halved: float | None) -> bool:
+    """Whether a reference's rebound ``cor`` is that of a shorter physics step: ``halved`` is with
+    half of it, and Euler's error is twice their difference.
     """
     if cor is None or halved is None:
-        same = cor is halved
-    else:
-        same = cor == halved or (
-            min(cor, halved) > 0.0 and 2.0 * abs(math.log(cor / halved)) <= TOLERANCE
-        )
-    if same:
-        return None
-    before, after = ("none" if e is None else f"{e:.4g}" for e in (cor, halved))
-    return (
-        f"the physics step of {1e3 / scenario.physics_rate:.3g} ms is too long for this contact: "
-        f"half of it changes the coefficient of restitution of the reference from {before} to "
-        f"{after}; use a physics_rate of {sufficient_rate(scenario):g} Hz or leave it out"
+        return cor is halved
+    return cor == halved or (
+        min(cor, halved) > 0.0 and 2.0 * abs(math.log(cor / halved)) <= TOLERANCE
     )
 
 
-def sufficient_rate(scenario: Scenario) -> float:
-    """Lowest physics rate [Hz] that has :data:`STEPS`, as a power of two times the loop's rate, so
-    that few rates occur in a campaign.
+def sufficient_rate(impact: Impact, rate: float) -> float:
+    """Lowest physics rate [Hz] that has :data:`STEPS`, as a power of two times the loop's ``rate``
+    [Hz], so that few rates occur in a campaign.
     """
-    least = scenario.rate * LEAST
+    least = rate * LEAST
     most = max(0, math.floor(math.log2(HIGHEST / least)))
-    needed = STEPS * _fastest(scenario) / math.pi
+    needed = STEPS * _fastest(impact) / math.pi
     return least * 2 ** (min(most, math.ceil(math.log2(needed / least))) if needed > least else 0)
 
 
-def _fastest(scenario: Scenario) -> float:
+def _fastest(impact: Impact) -> float:
     """[rad/s] of the bodies on the contact, or of a part of the mechanism in its first touch."""
-    contact = math.sqrt(acting_along_z(scenario)[0] / effective_mass(scenario))
-    if sides_of(scenario.mechanism).rigid:
+    contact = math.sqrt(acting_along_z(impact)[0] / impact.mass)
+    if impact.sides.rigid:
         return contact
-    touches = (first_touch(scenario, centred) for centred in (True, False))
+    touches = (first_touch(i) for i in (impact.centred(), impact))
     return max(contact, *(0.0 if t is None else t.fastest for t in touches))

@@ -10,26 +10,34 @@ angle, J is z and k is 4 k_c sin^2.
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hiltestbed.compiled.jit import interpreted
 from hiltestbed.contact.geometry import FRAMES, unmet
-from hiltestbed.contact.law import Pair, acting_contacts, acting_law, in_series, linear_law
-from hiltestbed.contact.parameters import LEVER, OFFSET, PARAMETERS
+from hiltestbed.contact.law import Pair, acting_law, in_series, linear_law
+from hiltestbed.contact.parameters import (
+    LEVER,
+    OFFSET,
+    PARAMETERS,
+    ContactParameters,
+    acting_contacts,
+    mechanism_parameters,
+)
 from hiltestbed.contact.sides import Sides, sides_of
 from hiltestbed.contact.wrench import LATCH_RADIUS, meet_all
 from hiltestbed.frames import Array
-from hiltestbed.numerical_model.bodies import approach_state, mobility
+from hiltestbed.numerical_model.bodies import approach_state, effective_mass, mobility
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
+    from hiltestbed.contact.settings import Mechanism
+    from hiltestbed.effects.base import Effect
+    from hiltestbed.scenario.spacecraft import Approach, Spacecraft
 
 
 # poses checked on the way to the first touch, and distance searched beyond the nominal touch [m]
@@ -39,6 +47,62 @@ BISECTIONS = 40
 # bisection's resolution, below any penetration
 TOGETHER = 1e-6
 INSERTION = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Impact:
+    """Two vehicles on their way to the contact of their mechanism: all that its first touch depends
+    on. Equal if the settings are.
+
+    Attributes:
+        effects: on the contact. approach: the initial state.
+    """
+
+    mechanism: Mechanism
+    effects: tuple[Effect, ...]
+    spacecraft: Spacecraft
+    approach: Approach
+
+    @cached_property
+    def _key(self) -> tuple[str, ...]:
+        sections = self.mechanism, self.spacecraft, self.approach, *self.effects
+        return tuple(section.model_dump_json(round_trip=True) for section in sections)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Impact) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @property
+    def sides(self) -> Sides:
+        """The contents of the mechanism's MJCF."""
+        return sides_of(self.mechanism)
+
+    @property
+    def laws(self) -> list[ContactParameters]:
+        """The contact of each rule of the mechanism, and last of its latch, effects included."""
+        return acting_contacts(self.mechanism, self.effects)
+
+    @property
+    def start(self) -> Array:
+        """``(13,)`` initial pose of A in P and relative twist in P."""
+        return approach_state(self.approach)
+
+    @property
+    def mass(self) -> float:
+        """Reduced mass [kg] of both vehicles along the insertion."""
+        return effective_mass(self.spacecraft)
+
+    @property
+    def mobility(self) -> Array:
+        """``(6, 6)`` relative acceleration at A per wrench there."""
+        return mobility(self.spacecraft)
+
+    def centred(self) -> Impact:
+        """The same from a start on the insertion axis, without a tilt."""
+        straight = {"offset": (0.0, 0.0), "attitude_deg": (0.0, 0.0, 0.0)}
+        return replace(self, approach=self.approach.model_copy(update=straight))
 
 
 class Touch(NamedTuple):
@@ -58,57 +122,23 @@ class Touch(NamedTuple):
     fastest: float
 
 
-def first_touch(scenario: Scenario, centred: bool = False) -> Touch | None:
-    """The first touch of an approach straight along the insertion, from the offset and attitude of
-    the scenario or ``centred``; moving parts are at rest.
+@lru_cache(maxsize=256)
+def first_touch(impact: Impact) -> Touch | None:
+    """The first touch of an approach straight along the insertion, from the initial offset and
+    attitude; moving parts are at rest.
 
     None if nothing touches up to the approach's gap plus :data:`BEYOND` after the nominal touch, if
     the mechanism is captured, or if a part gives way behind a contact that is not linear.
     """
-    if scenario.mechanism.captured:
+    if impact.mechanism.captured or _bare(impact.sides):
         return None
-    start = approach_state(scenario)[:7]
-    if centred:
-        start[:2], start[3:] = 0.0, (0.0, 0.0, 0.0, 1.0)
-    data = scenario.model_dump_json(
-        include={"mechanism", "effects", "spacecraft", "approach"}, round_trip=True
-    )
-    return _found(_Asked(scenario, start, json.dumps([data, start.tolist()])))
-
-
-def nothing_met(scenario: Scenario) -> bool:
-    """Whether nothing touches on the way of :func:`first_touch`."""
-    if scenario.mechanism.captured or _bare(scenario):
-        return False
-    meeting, pose = _meeting(scenario), approach_state(scenario)[:7].copy()
-    return _reached(scenario, _deepest(meeting, pose)) is None
-
-
-class _Asked:
-    """A scenario and a start, equal to another if all that a touch depends on is equal."""
-
-    def __init__(self, scenario: Scenario, start: Array, key: str) -> None:
-        self.scenario, self.start, self.key = scenario, start, key
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Asked) and self.key == other.key
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-
-@lru_cache(maxsize=256)
-def _found(asked: _Asked) -> Touch | None:
-    scenario, pose = asked.scenario, asked.start.copy()
-    if _bare(scenario):
-        return None
-    meeting = _meeting(scenario)
+    meeting, pose = _meeting(impact), impact.start[:7]
     deepest = _deepest(meeting, pose)
-    reach = _reached(scenario, deepest)
+    reach = _reached(impact.approach, deepest)
     if reach is None:
         return None
     deepest(reach + TOGETHER)
-    pair = _of_facets(scenario, meeting) if isinstance(meeting, Meeting) else meeting.pair(pose[:3])
+    pair = _of_facets(impact, meeting) if isinstance(meeting, Meeting) else meeting.pair(pose[:3])
     if pair is None or not pair[0][2, 2] > 0.0:
         return None
     stiffness, damping = pair
@@ -123,15 +153,21 @@ def _found(asked: _Asked) -> Touch | None:
     )
 
 
-def _bare(scenario: Scenario) -> bool:
+def nothing_met(impact: Impact) -> bool:
+    """Whether nothing touches on the way of :func:`first_touch`."""
+    if impact.mechanism.captured or _bare(impact.sides):
+        return False
+    return _reached(impact.approach, _deepest(_meeting(impact), impact.start[:7])) is None
+
+
+def _bare(sides: Sides) -> bool:
     """Whether no surface may touch another."""
-    sides = sides_of(scenario.mechanism)
     return sides.rigid and not sides.geometry.count
 
 
-def _meeting(scenario: Scenario) -> Meeting | _Parts:
-    sides = sides_of(scenario.mechanism)
-    return Meeting(sides) if sides.rigid else _Parts(scenario)
+def _meeting(impact: Impact) -> Meeting | _Parts:
+    sides = impact.sides
+    return Meeting(sides) if sides.rigid else _Parts(impact.mechanism, impact.effects)
 
 
 def _deepest(meeting: Meeting | _Parts, pose: Array) -> Callable[[float], float]:
@@ -144,9 +180,9 @@ def _deepest(meeting: Meeting | _Parts, pose: Array) -> Callable[[float], float]
     return deepest
 
 
-def _reached(scenario: Scenario, deepest: Callable[[float], float]) -> float | None:
+def _reached(approach: Approach, deepest: Callable[[float], float]) -> float | None:
     """The z [m] of the first touch on the way along the insertion."""
-    start, end = -abs(scenario.approach.gap), abs(scenario.approach.gap) + BEYOND
+    start, end = -abs(approach.gap), abs(approach.gap) + BEYOND
     stops = np.linspace(start, end, STOPS)
     met = next((k for k, z in enumerate(stops) if deepest(float(z)) > 0.0), 0)
     if met == 0:
@@ -158,14 +194,14 @@ def _reached(scenario: Scenario, deepest: Callable[[float], float]) -> float | N
     return high
 
 
-def _of_facets(scenario: Scenario, meeting: Meeting) -> tuple[Array, Array]:
+def _of_facets(impact: Impact, meeting: Meeting) -> tuple[Array, Array]:
     """(6, 6) stiffness and damping of the facets that touch."""
-    stiffness, damping, inverse = np.zeros((6, 6)), np.zeros((6, 6)), mobility(scenario)
-    rules, laws = sides_of(scenario.mechanism).rules, acting_contacts(scenario)
+    stiffness, damping, inverse = np.zeros((6, 6)), np.zeros((6, 6)), impact.mobility
+    rules, laws = impact.sides.rules, impact.laws
     for c in np.flatnonzero(meeting.depth > 0.0):
         push, arm = meeting.normal[c], meeting.point[c] - meeting.frames[0, :3]
         row = np.concatenate([push, np.cross(arm, push)])
-        speed = abs(float(push @ np.asarray(scenario.approach.velocity)))
+        speed = abs(float(push @ np.asarray(impact.approach.velocity)))
         k, d = acting_law(laws[rules[c]], 1.0 / float(row @ inverse @ row), speed)
         stiffness += k * np.outer(row, row)
         damping += d * np.outer(row, row)
@@ -203,19 +239,21 @@ class Meeting:
 class _Parts:
     """The same with moving parts or native pairs, in MuJoCo, the parts at rest."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, mechanism: Mechanism, effects: tuple[Effect, ...]) -> None:
         # the platform's models are made of the mechanism, so that they import its package
         from mujoco.batch import Batch
 
+        from hiltestbed.contact.composition import structure_of
         from hiltestbed.contact.engagement import Engagement
-        from hiltestbed.platform.build import structure
         from hiltestbed.platform.facilities.composed import ideal_model
 
-        self._made_of = replace(structure(scenario), mounted=False, constant=False)
-        model = ideal_model(self._made_of, scenario.tick)
+        made_of, dt = structure_of(mechanism, effects), 1e-3  # [s] nothing is stepped
+        self._made_of = replace(made_of, mounted=False, constant=False)
+        model = ideal_model(self._made_of, dt)
         self._batch = Batch(model, 1, 1)
         self._batch.reset(stage=0)
-        self._engagement = Engagement(self._batch, [scenario], self._made_of, scenario.tick, 0.0)
+        laws = mechanism_parameters([mechanism], [effects], made_of.sides.rules).laws
+        self._engagement = Engagement(self._batch, laws, self._made_of, dt, 0.0)
         at = int(model.joint("A_joint").qposadr[0])
         self._place = self._batch.bind("qpos")[:, at : at + 7]
         self._still, self._port = np.zeros((1, 6)), np.zeros((1, 7))
@@ -248,7 +286,7 @@ class _Parts:
         return fastest(self._engagement, self._batch, self._made_of, 0)
 
 
-def axis_truth(scenario: Scenario, captured: bool = False) -> list[Pair | None]:
+def axis_truth(impact: Impact, captured: bool = False) -> list[Pair | None]:
     """Stiffness [N/m], [N m/rad] and damping of x, y, z, rx, ry, rz, effects included; None on axes
     without a linear law.
 
@@ -259,8 +297,8 @@ def axis_truth(scenario: Scenario, captured: bool = False) -> list[Pair | None]:
     Args:
         captured: whether latches have closed during the run.
     """
-    mechanism = scenario.mechanism
-    contact, *_, latch = acting_contacts(scenario)
+    mechanism = impact.mechanism
+    contact, *_, latch = impact.laws
     turning = LATCH_RADIUS**2
     if mechanism.captured or (captured and not mechanism.phases()):
         # the lateral axes stay linear: no effect changes their law
@@ -279,7 +317,7 @@ def axis_truth(scenario: Scenario, captured: bool = False) -> list[Pair | None]:
     return [None if f is None else in_series(f, b) for f, b in zip(front, behind, strict=True)]
 
 
-def normal_truth(scenario: Scenario, at_once: int) -> Pair | None:
+def normal_truth(impact: Impact, at_once: int) -> Pair | None:
     """Stiffness [N/m] and damping [N s/m] along the normal of a contact, effects included: the
     contact's own while one at a time touches, otherwise those of the first touch, of all its
     contacts and of the springs of moving parts in series.
@@ -290,12 +328,12 @@ def normal_truth(scenario: Scenario, at_once: int) -> Pair | None:
     Args:
         at_once: largest number of contacts that touched at the same time; 0 if it is not known.
     """
-    laws = {linear_law(c) for c in acting_contacts(scenario)[:-1]}
-    if len(laws) != 1 or None in laws or scenario.mechanism.mount is not None:
+    laws = {linear_law(c) for c in impact.laws[:-1]}
+    if len(laws) != 1 or None in laws or impact.mechanism.mount is not None:
         return None
-    if at_once <= 1 and sides_of(scenario.mechanism).rigid:
+    if at_once <= 1 and impact.sides.rigid:
         return laws.pop()
-    touch = first_touch(scenario)
+    touch = first_touch(impact)
     if touch is None or touch.contacts < at_once:
         return None
     return touch.stiffness, touch.damping

@@ -28,7 +28,7 @@ class SimulatedRig:
         """``moving``: start with a uniform approach, as a run does; otherwise at rest."""
         self.scenario, self.period = scenario, scenario.tick
         self._sensor, self._plant, _ = simulated([scenario], 1)
-        state = approach_state(scenario)
+        state = approach_state(scenario.approach)
         # one view for all ticks: the sensor's kernels are bound to it
         self._felt = self._plant.wrench_sub[:, -1]
         self.pose: Array = self._plant.pose_act[0]

@@ -133,7 +133,7 @@ class Session:
         self.granted = Granted()
         self.recorder: TraceRecorder | None = None
         self.wall = 0.0
-        self._start = approach_state(scenario)
+        self._start = approach_state(scenario.approach)
         self._to_send, self._zero = np.zeros((1, 7)), np.zeros((1, 6))
 
     @contextmanager

@@ -71,7 +71,7 @@ def readings_apart(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Arr
     if not run.record.has("wrench_meas"):
         return np.zeros(0), np.zeros((0, len(columns)))
     values = run.record.data["wrench_meas"][:, columns]
-    mount, first = MountDynamics.of([run.scenario]), first_touch(run)
+    mount, first = MountDynamics.of([run.scenario.mechanism]), first_touch(run)
     ringing = 0.0 if mount is None else RINGING * mount.slowest()
     settling = (run.scenario.sensor.delay + LINK_MEMORY + ringing) * run.scenario.rate
     apart = ~run.survey.touching(len(values), round(min(settling, len(values))))

@@ -42,11 +42,13 @@ def _of_platform(runs: Sequence[MeasuredRun]) -> str | None:
 def _of_compensation(runs: Sequence[MeasuredRun]) -> str | None:
     if not every_run_has(runs, "wrench_meas", "wrench_comp"):
         return "needs wrench_meas and wrench_comp in every run"
-    groups = sorted({g for r in runs for g in needs(r.scenario)} - {"wrench_meas"})
+    scenarios = [r.scenario for r in runs]
+    needed = [needs(s.compensation, s.mechanism) for s in scenarios]
+    groups = sorted(set().union(*needed) - {"wrench_meas"})
     if not every_run_has(runs, *groups):
-        kinds = ", ".join(sorted({r.scenario.compensation.force.kind for r in runs}))
+        kinds = ", ".join(sorted({s.compensation.force.kind for s in scenarios}))
         return f"needs {' and '.join(groups)} in every run for compensation.force {kinds}"
-    if groups and not all(all_axes(r, g) for r in runs for g in needs(r.scenario)):
+    if groups and not all(all_axes(r, *own) for r, own in zip(runs, needed, strict=True)):
         kinds = " and ".join(["wrench_meas", *groups])
         return f"needs all axes of {kinds}: {OFF_AXIS} each of them acts on the force"
     return None
@@ -71,13 +73,15 @@ def _of_wrench(runs: Sequence[MeasuredRun]) -> str | None:
         either = "pose_act or pose_cmd"
         return f"needs all axes of {either}: {OFF_AXIS} the contact depends on each of them"
     if not all(
-        r.record.has("pose_act") or follows_exactly(r.scenario) or all_axes(r, "wrench_meas")
+        r.record.has("pose_act")
+        or follows_exactly(r.scenario.rig, r.scenario.compensation)
+        or all_axes(r, "wrench_meas")
         for r in runs
     ):
         return "needs pose_act, or all axes of wrench_meas: the drives yield to each of them"
     if not any(r.survey.contacts for r in runs):
         return "needs a contact"
-    if not all(sides_of(r.scenario.mechanism).rigid or can_carry(r.scenario) for r in runs):
+    if not all(sides_of(r.scenario.mechanism).rigid or can_carry(r.scenario.rig) for r in runs):
         return (
             "the mechanism has parts that move, or parts that collide at several points: its "
             "force follows from how A moves within a tick, which is not on record; it is judged "

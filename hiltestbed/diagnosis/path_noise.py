@@ -290,7 +290,10 @@ def central_rates_of(layout: DatasetLayout, paths: Sequence[Array]) -> list[Arra
     """(N, 6) twists at t_k by central differences; None where A moves uniformly within a tick."""
     if moves_uniformly(layout):
         return None
-    return [central_rates(run.scenario, path) for run, path in zip(layout.runs, paths, strict=True)]
+    return [
+        central_rates(run.scenario.approach, run.scenario.tick, path)
+        for run, path in zip(layout.runs, paths, strict=True)
+    ]
 
 
 def moves_uniformly(layout: DatasetLayout) -> bool:
@@ -298,5 +301,5 @@ def moves_uniformly(layout: DatasetLayout) -> bool:
     to; of a motion that was only measured nothing is known but that it is smooth.
     """
     return any(r.record.has("pose_cmd") for r in layout.runs) and all(
-        moves_linearly(r.scenario) for r in layout.runs
+        moves_linearly(r.scenario.rig) for r in layout.runs
     )

@@ -90,7 +90,7 @@ def _replayed(layout: DatasetLayout, platform: Explanation) -> Path:
     rounding = [r.record.unsmoothed() for r in layout.runs]
     path = Path(poses, central_rates_of(layout, poses), source="pose_cmd", rounding=rounding)
     noise = command_noise(layout, path)
-    if not all(follows_exactly(r.scenario) for r in layout.runs):
+    if not all(follows_exactly(r.scenario.rig, r.scenario.compensation) for r in layout.runs):
         noise = both(deflection_noise(layout, path), noise)
     return replace(path, noise=noise)
 
@@ -105,7 +105,7 @@ def _smoothed(layout: DatasetLayout, platform: Explanation | None) -> Path:
     if all(r.record.has("pose_cmd") and not r.record.has("pose_act") for r in layout.runs):
         assert layout.deflection is not None  # else the link is missing
         path = replace(path, yielded=[found.yielded for found in layout.deflection])
-        if not all(follows_exactly(r.scenario) for r in layout.runs):
+        if not all(follows_exactly(r.scenario.rig, r.scenario.compensation) for r in layout.runs):
             noise = both(deflection_noise(layout, path), rate_noise(layout, path))
             path = _under_the_contact(layout, path, not_where_unsettled(layout, noise))
     return path

@@ -214,7 +214,7 @@ def speed_noise(scenario: Scenario, force: float, rows: float) -> float:
     """[m/s] standard deviation of the relative speed along z after so many rows of white noise of
     the ``force`` [N] on free bodies.
     """
-    return force * float(mobility(scenario)[2, 2]) * scenario.tick * math.sqrt(rows)
+    return force * float(mobility(scenario.spacecraft)[2, 2]) * scenario.tick * math.sqrt(rows)
 
 
 def _others(explanations: Mapping[str, Explanation], name: str) -> list[Effect]:

@@ -151,7 +151,8 @@ def compensation_link(layout: DatasetLayout, rows: Sequence[int]) -> Compensatio
     """
     noise, most = layout.level("wrench_meas"), layout.largest
     level = COMPENSATION_FLOOR * max(noise[2], 1e-6) * math.sqrt(CORRELATED_ROWS)
-    groups = {g for r in layout.runs for g in needs(r.scenario)} - {"wrench_meas"}
+    scenarios = [r.scenario for r in layout.runs]
+    groups = {g for s in scenarios for g in needs(s.compensation, s.mechanism)} - {"wrench_meas"}
     rates = {g.replace("pose", "twist") for g in groups}
     groups |= {g for g in rates if every_run_has(layout.runs, g)}
     records = {g: layout.filled(g, rows) for g in groups}

@@ -17,8 +17,8 @@ from hiltestbed.diagnosis.settings import BLOCK_ROWS
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.measured import MeasuredRun
-from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.platform.build import nearest_bandwidth
+from hiltestbed.numerical_model.bodies import approach_state, approach_states
+from hiltestbed.platform.build import nearest_bandwidth, runs_of
 from hiltestbed.replay import (
     Engaged,
     Simulated,
@@ -67,19 +67,19 @@ def deflection(run: MeasuredRun, noise: float, engaged: Engaged | None = None) -
     reached P. engaged: see :func:`engagement`.
     """
     scenario = run.scenario
-    if follows_exactly(scenario):
+    if follows_exactly(scenario.rig, scenario.compensation):
         nothing = np.zeros((run.record.ticks, 6))
         return Deflection(nothing, nothing, nothing)
     touching, wrench = _load(run, _recorded(run), noise, engaged)
     told, taken = flat_pose(told_pose(run)), 0.0 if engaged is None else engaged.taken
-    path = _replayed(run, borne(scenario, wrench) + taken)
+    path = _replayed(run, wrench, taken)
     if path is None:
         return None
     away = path - told
     shown = flat_pose(run.record.data["pose_act"]) - told if run.record.has("pose_act") else away
     departure = np.nanmax(np.abs(shown - away), axis=0, initial=0.0)
     departure[:3], departure[3:] = departure[:3].max(), departure[3:].max()
-    unloaded = _replayed(run, borne(scenario, np.zeros_like(wrench)))
+    unloaded = _replayed(run, np.zeros_like(wrench))
     # the rest is the response to the command, which is known
     yielded = away if unloaded is None else path - unloaded
     rows = MAX_READING_SHIFT / scenario.tick
@@ -94,7 +94,7 @@ def deflection(run: MeasuredRun, noise: float, engaged: Engaged | None = None) -
         doubt[np.maximum.accumulate(told[:, 2] > -departure[2])] = np.inf
     # sliding parts reverse within a tick; stiction of the drives retains the effect
     if engaged is not None:
-        chattering = _replayed(run, borne(scenario, wrench) + taken, engaged.between)
+        chattering = _replayed(run, wrench, taken, engaged.between)
         if chattering is not None:
             kept = np.maximum.accumulate(np.abs(chattering - path), axis=0)
             doubt = np.hypot(doubt, alike * kept)
@@ -103,7 +103,7 @@ def deflection(run: MeasuredRun, noise: float, engaged: Engaged | None = None) -
     shaken = wrench.copy()
     error = noise * np.random.default_rng(0).standard_normal((len(wrench), 3))
     shaken[:, :3] += np.where(touching, error, 0.0)
-    noisy = _replayed(run, borne(scenario, shaken) + taken)
+    noisy = _replayed(run, shaken, taken)
     passed = np.zeros(6) if noisy is None else np.std(noisy - path, axis=0)
     # it is correlated for as long as the drives remember
     doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, 1.0 / band / scenario.tick)))
@@ -113,21 +113,24 @@ def deflection(run: MeasuredRun, noise: float, engaged: Engaged | None = None) -
 def yielded_under(run: MeasuredRun, found: Deflection, reading: Array, noise: float) -> Array:
     """`yielded` of a deflection that was ``found``, under another ``reading`` (N, 6)."""
     _, wrench = _load(run, reading, noise)
-    path = _replayed(run, borne(run.scenario, wrench))
+    path = _replayed(run, wrench)
     if path is None:
         return found.yielded
     return path - flat_pose(told_pose(run)) - (found.away - found.yielded)
 
 
-def _replayed(run: MeasuredRun, load: Array, between: Array | None = None) -> Array | None:
-    """(N, 6) flat pose of the believed rig on its command under a ``load`` (N, 6), and one
-    ``between`` rows; None where it cannot follow.
+def _replayed(
+    run: MeasuredRun, reading: Array, taken: Array | float = 0.0, between: Array | None = None
+) -> Array | None:
+    """(N, 6) flat pose of the believed rig on its command under the load of a ``reading`` (N, 6),
+    what parts have ``taken`` and what is ``between`` rows; None where it cannot follow.
     """
-    record = run.record
+    record, scenario = run.record, run.scenario
+    load = borne(scenario.mechanism, scenario.tick, reading) + taken
     command = np.ascontiguousarray(record.filled("pose_cmd"))
     rates = record.filled("twist_cmd") if record.has("twist_cmd") else None
     reached = _noiseless_pose(run)
-    path = replay_rig(run.scenario, command, rates, load, _recorded(run), reached, between)
+    path = replay_rig(scenario, command, rates, load, _recorded(run), reached, between)
     return None if path is None else flat_pose(path)
 
 
@@ -159,7 +162,9 @@ def _recorded(run: MeasuredRun) -> Array:
 
 def told_pose(run: MeasuredRun) -> Array:
     """(N, 7) the commanded pose one row later."""
-    return np.vstack([approach_state(run.scenario)[:7], run.record.filled("pose_cmd")[:-1]])
+    return np.vstack(
+        [approach_state(run.scenario.approach)[:7], run.record.filled("pose_cmd")[:-1]]
+    )
 
 
 def engagement(run: MeasuredRun) -> Engaged | None:
@@ -167,14 +172,17 @@ def engagement(run: MeasuredRun) -> Engaged | None:
     it; None where it follows from the pose, or where no such mechanism can have taken that path.
     """
     scenario, record = run.scenario, run.record
-    if sides_of(scenario.mechanism).rigid or not can_carry(scenario):
+    if sides_of(scenario.mechanism).rigid or not can_carry(scenario.rig):
         return None
     path, rates = np.ascontiguousarray(record.filled("pose_act")), None
-    if not moves_linearly(scenario):
-        whole = record.whole("twist_act")
-        rates = record.filled("twist_act") if whole else central_rates(scenario, path)
+    if not moves_linearly(scenario.rig):
+        rates = central_rates(scenario.approach, scenario.tick, path)
+        if record.whole("twist_act"):
+            rates = record.filled("twist_act")
         rates = np.ascontiguousarray(rates)[None]
-    found = Simulated([scenario], path[None], rates).believed(0)
+    start = approach_states([scenario.approach])
+    carried = Simulated([scenario.mechanism], start, runs_of([scenario]), path[None], rates)
+    found = carried.believed(0)
     return found if np.isfinite(found.taken).all() and np.isfinite(found.wrench).all() else None
 
 

@@ -101,7 +101,7 @@ def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momen
     given = _columns(record, wrench)[:, rows]
     if not given.any():
         return None
-    fits = _Fits(t, -mobility(scenario)[:3], given, motion, scenario.tick)
+    fits = _Fits(t, -mobility(scenario.spacecraft)[:3], given, motion, scenario.tick)
     scale, explained = fits.fit(FORCES, (1, 1, 1))
     order, signs, best = fits.best(explained)
     large = moved & (np.sum(motion**2, axis=1) > 0.05 * np.sum(motion**2))

@@ -31,7 +31,9 @@ from hiltestbed.measured.ratio import CLEAR, REMAINDER, correlation
 from hiltestbed.measured.record import LOGGER, Record
 from hiltestbed.measured.remark import Remark, error
 from hiltestbed.measured.survey import Survey
+from hiltestbed.numerical_model.bodies import approach_states
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
+from hiltestbed.platform.build import runs_of
 from hiltestbed.replay import (
     Departing,
     Felt,
@@ -158,7 +160,9 @@ def _model_lag(record: Record, scenario: Scenario) -> int | None:
         return None
     wrench = np.ascontiguousarray(record.data["wrench_comp"])
     both = np.stack([wrench, np.zeros_like(wrench)])
-    models = Departing([scenario] * 2, stack([DynamicsParameters()] * 2))
+    start = approach_states([scenario.approach] * 2)
+    nominal = stack([DynamicsParameters()] * 2)
+    models = Departing([scenario.spacecraft] * 2, start, scenario.tick, nominal)
     poses = replay_model(models, both, np.arange(2))
     if not np.isfinite(poses).all() or record.ticks < 4 * FURTHEST:
         return None
@@ -189,7 +193,8 @@ def _unexplained(basis: Array, values: Array) -> float:
 
 def compensated(record: Record, scenario: Scenario, source: str = "wrench_meas") -> Array | None:
     """``(ticks, 6)`` believed compensation of a recorded wrench; None if it needs more inputs."""
-    if needs(scenario) != {"wrench_meas"} or not record.whole(source):
+    needed = needs(scenario.compensation, scenario.mechanism)
+    if needed != {"wrench_meas"} or not record.whole(source):
         return None
     reading = np.ascontiguousarray(record.filled(source))[None]
     run = np.zeros(1, dtype=int)
@@ -230,7 +235,7 @@ def _clipped_noise(values: Array) -> Array:
 
 def _platform_lead(record: Record, found: Survey, scenario: Scenario) -> float | None:
     """Rows by which the pose precedes the row after its command; None if that is not told."""
-    if not follows_exactly(scenario):
+    if not follows_exactly(scenario.rig, scenario.compensation):
         return None
     above = below = 0.0
     for part in ("px", "py", "pz"):
@@ -295,7 +300,8 @@ def believed_reading(record: Record, scenario: Scenario) -> tuple[Array, Array]:
     """The believed sensor's reading of the recorded pose, (ticks, 6): undamped, and damped."""
     mechanism, path = scenario.mechanism, record.filled("pose_act")
     path[:, :3] = _smooth(path[:, :3])
-    felt = Felt.along([scenario], path[None])
+    start = approach_states([scenario.approach])
+    felt = Felt.along([mechanism], start, runs_of([scenario]), path[None])
     damped = [
         replace(c, damping=c.damping or c.stiffness * scenario.tick)
         for c in believed_contacts(mechanism)

@@ -1,8 +1,8 @@
-"""The nominal vehicles of a scenario, as arrays."""
+"""The nominal vehicles and their approach, as arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,8 +10,7 @@ import numpy as np
 from hiltestbed.frames import Array, quat_from_attitude_deg, rotation_matrix
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario.like import ScenarioLike
-    from hiltestbed.scenario.spacecraft import Body
+    from hiltestbed.scenario.spacecraft import Approach, Body, Spacecraft
 
 
 def inertia_matrix(inertia: Sequence[float]) -> Array:
@@ -25,16 +24,19 @@ def port_pose(body: Body) -> Array:
     return np.concatenate([body.port.position, quat_from_attitude_deg(body.port.attitude_deg)])
 
 
-def approach_state(scenario: ScenarioLike) -> Array:
+def approach_state(approach: Approach) -> Array:
     """``(13,)``: pose of A in P and relative twist in P at t = 0."""
-    a = scenario.approach
-    position = [a.offset[0], a.offset[1], -a.gap]
-    return np.concatenate(
-        [position, quat_from_attitude_deg(a.attitude_deg), a.velocity, np.radians(a.rate_deg)]
-    )
+    attitude = quat_from_attitude_deg(approach.attitude_deg)
+    position, turn = [*approach.offset, -approach.gap], np.radians(approach.rate_deg)
+    return np.concatenate([position, attitude, approach.velocity, turn])
 
 
-def effective_mass(scenario: ScenarioLike) -> float:
+def approach_states(approaches: Iterable[Approach]) -> Array:
+    """``(n, 13)`` as :func:`approach_state`, of several."""
+    return np.array([approach_state(a) for a in approaches])
+
+
+def effective_mass(spacecraft: Spacecraft) -> float:
     """Reduced mass [kg] of both bodies along the line of approach at P's origin, lever arms
     included.
 
@@ -42,7 +44,7 @@ def effective_mass(scenario: ScenarioLike) -> float:
     with centred ports.
     """
     total = 0.0
-    for body in (scenario.spacecraft.chaser, scenario.spacecraft.target):
+    for body in (spacecraft.chaser, spacecraft.target):
         port = port_pose(body)
         q = port[3:]
         n = np.array(
@@ -90,9 +92,9 @@ def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
     return np.concatenate([linear.sum(axis=-2), angular.sum(axis=-2)], axis=-1)
 
 
-def mobility(scenario: ScenarioLike) -> Array:
+def mobility(spacecraft: Spacecraft) -> Array:
     """``(6, 6)`` M^-1: relative acceleration at A per wrench there, in P, at the nominal touch."""
-    return _mobility(scenario.spacecraft.chaser) + _mobility(scenario.spacecraft.target)
+    return _mobility(spacecraft.chaser) + _mobility(spacecraft.target)
 
 
 def _mobility(body: Body) -> Array:

@@ -19,7 +19,7 @@ from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, cross, pose_step, rotate, rotate_back
 from hiltestbed.numerical_model.bodies import (
-    approach_state,
+    approach_states,
     inertia_matrix,
     port_pose,
     rest_inertia,
@@ -73,7 +73,7 @@ class NumericalModel:
         self._centres = np.zeros_like(self.q)
         self.pose, self.twist = np.zeros((n, 7)), np.zeros((n, 6))
         self._tau, self._before = np.zeros((n, 2, 6)), np.zeros((n, 2, 6))
-        self._approach = np.array([approach_state(s) for s in scenarios])
+        self._approach = approach_states(s.approach for s in scenarios)
         self._depart(
             stack([DynamicsParameters.of(s.effects) for s in scenarios])
             if departures is None

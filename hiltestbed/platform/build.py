@@ -10,32 +10,39 @@ Jacobian of driven joints, locked joints, loops and tools, w the wrenches on the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from hiltestbed.config.validation import Problem
 from hiltestbed.contact.composition import Structure, structure_of
-from hiltestbed.contact.parameters import ContactParameters
+from hiltestbed.contact.parameters import mechanism_parameters
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects.table import by_link
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose
+from hiltestbed.numerical_model.bodies import (
+    approach_state,
+    approach_states,
+    inertia_matrix,
+    port_pose,
+)
 from hiltestbed.platform.facilities.arms import SerialArm, TwoArms
 from hiltestbed.platform.facilities.bodies import Article, PhysicalFacility
 from hiltestbed.platform.facilities.composed import TOOL, facility_model
-from hiltestbed.platform.facilities.facility import Facility
+from hiltestbed.platform.facilities.facility import Facility, Runs
 from hiltestbed.platform.facilities.halls import AirBearing, Suspension
 from hiltestbed.platform.facilities.kinematics import MECHANISMS, Axis, Kinematics
 from hiltestbed.platform.facilities.mjcf import MjcfFacility
 from hiltestbed.platform.facilities.pss33 import Pss33Facility
 from hiltestbed.platform.facilities.stewart import Stewart
 from hiltestbed.platform.kinds import Driven, Platform
+from hiltestbed.platform.parameters import PlatformParameters, RigParameters
 from hiltestbed.platform.shipped.arms import SerialArmSettings, TwoArmsSettings
 from hiltestbed.platform.shipped.halls import AirBearingSettings, SuspensionSettings
 from hiltestbed.platform.shipped.mjcf import MjcfSettings
@@ -43,6 +50,8 @@ from hiltestbed.platform.shipped.pss33 import Pss33
 from hiltestbed.platform.shipped.stewart import StewartSettings
 
 if TYPE_CHECKING:
+    from hiltestbed.contact.contacts import AppliedForce
+    from hiltestbed.platform.plant import Plant
     from hiltestbed.scenario.like import ScenarioLike as Scenario
     from hiltestbed.scenario.spacecraft import Body
 
@@ -105,14 +114,64 @@ def alike(scenario: Scenario) -> Hashable:
     return facility.alike()
 
 
-def structure(scenario: Scenario) -> Structure:
-    """The structure of a scenario's rig."""
-    mechanism, effects = scenario.mechanism, by_link(scenario.effects, "contact")
-    rubs = any(
-        ContactParameters.believed(c).with_effects(effects).friction > 0.0
-        for c in mechanism.contacts()
+def lockstep_key(scenario: Scenario) -> Hashable:
+    """Everything that must be equal in the scenarios of one plant."""
+    platform, upper = scenario.rig.platform, scenario.rig.upper
+    above = (upper.kind, upper.tracking if upper.kind != "fixed" else None)
+    structure = structure_of(scenario.mechanism, scenario.effects)
+    rates = scenario.rate, scenario.physics_rate
+    return *rates, structure, alike(scenario), platform.tracking, above
+
+
+def runs_of(scenarios: Sequence[Scenario]) -> Runs:
+    """What the drives of a batch are made for."""
+    first, feeds = scenarios[0], [s.compensation.motion.feeds for s in scenarios]
+    settings = [s.rig.platform for s in scenarios]
+    return Runs(first.tick, first.substeps, settings, np.array(feeds, dtype=bool))
+
+
+def rig_parameters(scenarios: Sequence[Scenario]) -> RigParameters:
+    """The parameters of the rigs of scenarios with one :func:`lockstep_key`."""
+    first, effects = scenarios[0], [s.effects for s in scenarios]
+    structure = structure_of(first.mechanism, first.effects)
+    mechanisms = [s.mechanism for s in scenarios]
+    watched = None
+    if not first.rig.platform.physical and first.rig.platform.states_limits:
+        # a run's safety section may switch off three of them
+        off = [(s.safety.stroke, s.safety.speed, s.safety.acceleration) for s in scenarios]
+        watched = np.array([[*(limit is not None for limit in row), True, True] for row in off])
+    return RigParameters(
+        facility_of(first),
+        structure,
+        runs_of(scenarios),
+        mechanism_parameters(mechanisms, effects, structure.sides.rules),
+        [PlatformParameters(s.tick).with_effects(s.effects) for s in scenarios],
+        any(by_link(acting, "platform") for acting in effects),
+        approach_states(s.approach for s in scenarios),
+        watched,
+        first.rig.upper.tracking if first.rig.upper.kind == "prs3" else None,
     )
-    return structure_of(mechanism, bool(effects), rubs)
+
+
+def plant_of(
+    scenarios: Sequence[Scenario],
+    nthread: int = 1,
+    late: NDArray[np.bool_] | None = None,
+    force: AppliedForce | None = None,
+    held: bool = False,
+) -> Plant:
+    """The rigs of scenarios, see :class:`hiltestbed.platform.plant.Plant`. Raises InputError for
+    scenarios that cannot go in lockstep.
+    """
+    from hiltestbed.platform.plant import Plant  # the loop's kernels, which a check does not need
+
+    if len({lockstep_key(s) for s in scenarios}) != 1:
+        raise InputError(
+            "one Plant takes runs of one structure: the same rate, physics_rate, "
+            "rig.platform, rig.upper and mechanism.kind; "
+            "mechanism.mount, contact.friction > 0 and effects of the contact in all or in none"
+        )
+    return Plant(rig_parameters(scenarios), nthread, late, force, held)
 
 
 def demand_of(scenario: Scenario) -> Demand | None:
@@ -122,7 +181,8 @@ def demand_of(scenario: Scenario) -> Demand | None:
     platform = scenario.rig.platform
     if platform.prescribed or platform.physical:
         return None
-    return _demand(built(platform), structure(scenario), scenario.tick / scenario.substeps)
+    structure = structure_of(scenario.mechanism, scenario.effects)
+    return _demand(built(platform), structure, scenario.tick / scenario.substeps)
 
 
 @lru_cache(maxsize=32)
@@ -166,7 +226,7 @@ def problems(scenario: Scenario) -> Iterator[Problem]:
             "passive side moves: the load of its sensor must be rigid); allowed is a mechanism "
             "without moving parts",
         )
-    for complaint in facility.complaints(approach_state(scenario)[:7]):
+    for complaint in facility.complaints(approach_state(scenario.approach)[:7]):
         yield (
             ("approach",),
             f"starts at a pose that the platform cannot reach ({complaint}); allowed is a start "

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from hiltestbed.config.models import load
 from hiltestbed.contact.composition import ACTIVE, add_active, drawn
 from hiltestbed.frames import Array, pose_compose
-from hiltestbed.platform.build import facility_of
-from hiltestbed.platform.driven import runs_of
 from hiltestbed.platform.facilities.composed import TOOL, facility_model, facility_spec
 from hiltestbed.platform.facilities.drives import Drives
-from hiltestbed.platform.facilities.facility import MOUNT, TOOL_HOME, UPRIGHT
+from hiltestbed.platform.facilities.facility import MOUNT, TOOL_HOME, UPRIGHT, Facility, Runs
 from hiltestbed.platform.facilities.prs3 import (
     Upper,
     place,
@@ -24,7 +22,7 @@ from hiltestbed.platform.facilities.prs3 import (
 from hiltestbed.platform.facilities.upper_drives import add_upper_passive
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
+    from hiltestbed.contact.settings import Mechanism
 
 STEP = 1e-3  # [s] nothing is stepped
 UPPER = "upper_"  # prefix of the names of the upper platform
@@ -33,12 +31,12 @@ UPPER = "upper_"  # prefix of the names of the upper platform
 class DrawnFacility:
     """A facility with its mechanism, at poses that it has reached."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        structure = drawn(scenario.mechanism)
-        facility = facility_of(scenario)
+    def __init__(self, facility: Facility, mechanism: Mechanism, runs: Runs) -> None:
+        """``runs``: the one run whose drives have the facility's joints."""
+        structure = drawn(mechanism)
         self.model = facility_spec(facility, structure, STEP).compile()
         stepped = facility_model(facility, structure, STEP)
-        self._mover = facility.drives(stepped, runs_of([scenario]), TOOL)
+        self._mover = facility.drives(stepped, runs, TOOL)
         self._last: tuple[Array, tuple[Array, Array]] | None = None
 
     def port_poses(self, rows: NDArray[np.intp], pose_cmd: Array, pose: Array) -> Array:
@@ -72,16 +70,16 @@ class DrawnFacility:
 class DrawnNineAxes:
     """Both platforms with their mechanisms; the interface is that of :class:`DrawnFacility`."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, facility: Facility, mechanism: Mechanism) -> None:
         spec = load("pss33/pss33")
-        spec.modelname = f"pss33-prs3-{scenario.mechanism.kind}"
+        spec.modelname = f"pss33-prs3-{mechanism.kind}"
         spec.attach(load("prs3/prs3"), prefix=UPPER, frame=spec.worldbody.add_frame())
         site = spec.site(MOUNT)
-        made_of, plane = drawn(scenario.mechanism), np.array(site.pos)
+        made_of, plane = drawn(mechanism), np.array(site.pos)
         add_active(spec, made_of, site.parent, plane, TOOL_HOME[:3])
-        add_upper_passive(spec, scenario.mechanism, UPPER)
+        add_upper_passive(spec, mechanism, UPPER)
         self.model = spec.compile()
-        self._lower = facility_of(scenario).kinematics(self.model, ACTIVE + "A")
+        self._lower = facility.kinematics(self.model, ACTIVE + "A")
         self._upper = upper_kinematics(self.model, UPPER)
 
     def port_poses(self, rows: NDArray[np.intp], pose_cmd: Array, pose: Array) -> Array:
@@ -99,8 +97,3 @@ class DrawnNineAxes:
             pose_compose(port, at, pose_A)
             q[:] = self._upper.solve(port, start=self._lower.solve(pose_A)[0])[0]
         return out
-
-
-def drawn_rig(scenario: Scenario) -> DrawnFacility | DrawnNineAxes:
-    """The rig of a scenario for drawing."""
-    return (DrawnFacility if scenario.rig.upper.kind == "fixed" else DrawnNineAxes)(scenario)

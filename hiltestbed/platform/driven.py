@@ -5,7 +5,6 @@ freely moving bodies.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -15,10 +14,8 @@ from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call, bound
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array
-from hiltestbed.platform.build import facility_of
 from hiltestbed.platform.facilities.composed import (
     TOOL,
     CarriedLoad,
@@ -26,13 +23,12 @@ from hiltestbed.platform.facilities.composed import (
     rest_reading,
     sensor_columns,
 )
-from hiltestbed.platform.facilities.facility import Facility, Runs
 from hiltestbed.platform.facilities.limits import Watch
+from hiltestbed.platform.parameters import RigParameters
 from hiltestbed.platform.response import PlatformResponse
 
 if TYPE_CHECKING:
     from hiltestbed.contact.contacts import AppliedForce
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 SPEED_LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
 # [kg] half the effective mass at a point of the platform: its viscous friction cannot reverse a
@@ -59,31 +55,33 @@ class ServoTracking:
 
     def __init__(
         self,
-        scenarios: Sequence[Scenario],
+        parameters: RigParameters,
         nthread: int,
-        structure: Structure,
         late: NDArray[np.bool_] | None = None,
         force: AppliedForce | None = None,
     ) -> None:
-        first, n = scenarios[0], len(scenarios)
+        runs, structure, n = parameters.runs, parameters.structure, len(parameters.start)
         # else MuJoCo writes MUJOCO_LOG.TXT into the working folder
         if mujoco.get_mju_user_warning() is None:
             mujoco.set_mju_user_warning(_log_warning)
-        self.substeps = m = first.substeps
-        dt = first.tick / m
-        facility = facility_of(first)
+        self.substeps, dt, facility = runs.substeps, runs.step, parameters.facility
+        m = self.substeps
         self.moves_passive = facility.moves_passive
         # a sensor that moves needs its load's compensation in each reading: none is kept in
         # MuJoCo's history
         self.model = facility_model(facility, structure, dt, 0 if self.moves_passive else m)
         self.units = tuple(axis.unit for axis in facility.axes)
         self.batch = Batch(self.model, n, nthread, persistent=True)
-        self.contacts = Contacts(self.batch, scenarios, structure, dt, least_creep(dt), force)
-        self.path = PlatformResponse(scenarios)
+        self.contacts = Contacts(
+            self.batch, parameters.mechanism, structure, dt, least_creep(dt), force
+        )
+        self.path = PlatformResponse(parameters.responses, parameters.start, m, parameters.departs)
         self._ticks = np.zeros(1, dtype=np.int64)
         self._goal = np.zeros((n, 7))
-        self.mover = mover = facility.drives(self.model, runs_of(scenarios), TOOL)
-        self.watch = _watch(facility, scenarios, mover.kinematics.joints_home)
+        self.mover = mover = facility.drives(self.model, runs, TOOL)
+        self.watch: Watch | None = None
+        if (watched := parameters.watched) is not None:
+            self.watch = Watch(facility.axes, mover.kinematics.joints_home, n, runs.tick, watched)
         self.load = CarriedLoad(self.model, mover.kinematics.home) if self.moves_passive else None
         # state and contacts are read after every step
         self._stepwise = self.contacts.written or self.moves_passive
@@ -242,25 +240,6 @@ class ServoTracking:
             for ids, stage in ((self._prompt, ACC), (self._latecomers, VEL))
             if ids.size
         ]
-
-
-def runs_of(scenarios: Sequence[Scenario]) -> Runs:
-    """What the drives of a batch are made for."""
-    first, feeds = scenarios[0], [s.compensation.motion.feeds for s in scenarios]
-    settings = [s.rig.platform for s in scenarios]
-    return Runs(first.tick, first.substeps, settings, np.array(feeds, dtype=bool))
-
-
-def _watch(facility: Facility, scenarios: Sequence[Scenario], home: Array) -> Watch | None:
-    """Monitor of the limits that a facility states, less those that a run's safety section switches
-    off; None if nothing is driven, or all limits are in that section.
-    """
-    first = scenarios[0]
-    if first.rig.platform.physical or not first.rig.platform.states_limits:
-        return None
-    limits = [(s.safety.stroke, s.safety.speed, s.safety.acceleration) for s in scenarios]
-    watched = [[*(limit is not None for limit in row), True, True] for row in limits]
-    return Watch(facility.axes, home, len(scenarios), first.tick, np.array(watched))
 
 
 def _log_warning(message: str) -> None:

@@ -110,7 +110,7 @@ class DriveFriction:
         bristle = np.broadcast_to(np.minimum(presliding, STEPS * moved / (dt * dt)), law.shape[:2])
         damper = 2.0 * np.sqrt(bristle * moved)  # the bristle alone is critically damped
         self.numbers = np.concatenate([law, bristle[..., None], damper[..., None]], axis=2)
-        self._axes, self._dt = np.asarray(axes), dt
+        self._axes = np.asarray(axes)
         self.bristles = np.zeros((*law.shape[:2], 2))
         self._acted = Call(
             _act, self.numbers, dt, self._axes, np.asarray(inputs), GIVEN, self.bristles, GIVEN

@@ -7,7 +7,6 @@ the tick that ends, so that the last one gives the force at t_(k+1) with the slo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
@@ -17,11 +16,8 @@ from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.jit import interpreted, njit
-from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array, pose_step, rotate_back, twist_between
-from hiltestbed.platform.build import facility_of
-from hiltestbed.platform.driven import runs_of
 from hiltestbed.platform.facilities.composed import (
     INTEGRATED_MASS,
     TOOL,
@@ -31,11 +27,11 @@ from hiltestbed.platform.facilities.composed import (
 )
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.response import ResponsePath
+from hiltestbed.platform.parameters import RigParameters
 from hiltestbed.platform.response import PlatformResponse
 
 if TYPE_CHECKING:
     from hiltestbed.contact.contacts import AppliedForce
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 @njit(cache=True)
@@ -104,29 +100,29 @@ class IdealTracking:
 
     def __init__(
         self,
-        scenarios: Sequence[Scenario],
+        parameters: RigParameters,
         nthread: int,
-        structure: Structure,
         force: AppliedForce | None = None,
     ) -> None:
-        first, n = scenarios[0], len(scenarios)
-        self.tick, self.substeps = first.tick, first.substeps
-        dt = first.tick / first.substeps
+        runs, structure, n = parameters.runs, parameters.structure, len(parameters.start)
+        self.tick, self.substeps, dt = runs.tick, runs.substeps, runs.step
         self.model = ideal_model(structure, dt)
         self.batch = Batch(self.model, n, nthread)
-        self.contacts = Contacts(self.batch, scenarios, structure, dt, 0.0, force)
-        self.path = PlatformResponse(scenarios)
-        answers = first.rig.platform.tracking == "response"
-        settings = [s.rig.platform.response for s in scenarios] if answers else []
-        self.response = ResponsePath(settings, first.tick, first.substeps) if answers else None
+        self.contacts = Contacts(self.batch, parameters.mechanism, structure, dt, 0.0, force)
+        self.path = PlatformResponse(
+            parameters.responses, parameters.start, self.substeps, parameters.departs
+        )
+        answers = runs.settings[0].tracking == "response"
+        settings = [s.response for s in runs.settings] if answers else []
+        self.response = ResponsePath(settings, self.tick, self.substeps) if answers else None
         # whether positions within a tick are taken from _along
         self._bent = self.path.active or answers
-        self._along = self.path.path if self.path.active else np.zeros((n, first.substeps, 3))
+        self._along = self.path.path if self.path.active else np.zeros((n, self.substeps, 3))
         self._ticks = np.zeros(1, dtype=np.int64)
-        facility = facility_of(first)
+        facility = parameters.facility
         self.units = tuple(axis.unit for axis in facility.axes)
         stepped = facility_model(facility, structure, dt)
-        joints = facility.drives(stepped, runs_of(scenarios), TOOL)
+        joints = facility.drives(stepped, runs, TOOL)
         assert isinstance(joints, Drives)
         self._joints = joints
         bind = self.batch.bind

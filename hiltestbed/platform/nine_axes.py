@@ -14,8 +14,7 @@ sensor's wrench is that of the contact plus the uncompensated rest of the moving
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -31,9 +30,7 @@ from hiltestbed.platform.facilities.motion import GRAVITY
 from hiltestbed.platform.facilities.prs3 import Upper, place, share
 from hiltestbed.platform.facilities.upper_drives import UpperDrives
 from hiltestbed.platform.ideal import IdealTracking
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
+from hiltestbed.platform.parameters import RigParameters
 
 SETTLE = 0.1  # [s] after which an error of a critically damped 25 Hz loop has decayed to 3e-6
 
@@ -136,12 +133,14 @@ class MovingUpper:
             the tick, in P [N, N m].
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], nthread: int) -> None:
-        first, n = scenarios[0], len(scenarios)
-        self.tick, m = first.tick, first.substeps
-        self._settle = math.ceil(SETTLE / first.tick)
-        servo = first.rig.upper.tracking == "servo"
-        self.drives = drives = UpperDrives(scenarios, nthread) if servo else None
+    def __init__(self, parameters: RigParameters, nthread: int) -> None:
+        runs, n = parameters.runs, len(parameters.start)
+        self.tick, m = runs.tick, runs.substeps
+        self._settle = math.ceil(SETTLE / runs.tick)
+        self.drives = drives = None
+        if parameters.upper == "servo":
+            mechanism = parameters.structure.mechanism
+            self.drives = drives = UpperDrives(mechanism, runs.tick, m, n, nthread)
         self.motion = UpperMotion(
             x=np.zeros((n, 3)),
             rate=np.zeros((n, 3)),
@@ -254,10 +253,10 @@ class NineAxes:
     """The rigs of `n` runs; arrays as in :class:`hiltestbed.platform.plant.Plant`."""
 
     def __init__(
-        self, scenarios: Sequence[Scenario], lower: ServoTracking | IdealTracking, nthread: int
+        self, parameters: RigParameters, lower: ServoTracking | IdealTracking, nthread: int
     ) -> None:
-        n, self.tick = len(scenarios), scenarios[0].tick
-        self.lower, self.upper = lower, MovingUpper(scenarios, nthread)
+        n, self.tick = len(parameters.start), parameters.runs.tick
+        self.lower, self.upper = lower, MovingUpper(parameters, nthread)
         self.contacts, self.causes, self.diverged = lower.contacts, lower.causes, lower.diverged
         self.contact_now = lower.contact_now
         self.slider_cmd, self.slider_act = lower.slider_cmd, lower.slider_act

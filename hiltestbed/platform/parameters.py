@@ -1,4 +1,4 @@
-"""Parameters of a platform's response from command to pose, from its settings and its effects.
+"""Parameters of a rig, and of a platform's response from command to pose.
 
 A linear response is described by its response to a step: a piecewise-linear curve over the time
 since the step.
@@ -15,13 +15,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hiltestbed.config.piecewise import packed
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
+    from hiltestbed.contact.composition import Structure
+    from hiltestbed.contact.parameters import MechanismParameters
+    from hiltestbed.platform.facilities.facility import Facility, Runs
 
 # parameters of a drive: [rad/s], -, m, m, m/s^2, s, -
 W, ZETA, FRICTION, OFFSET, LIMIT, INTEGRAL, STATIC = range(7)
@@ -63,17 +66,36 @@ class PlatformParameters:
     begun: float = 1.0
     step: Array = field(default_factory=lambda: packed(()))
 
-    @classmethod
-    def believed(cls, scenario: Scenario) -> PlatformParameters:
-        """The parameters of a scenario's settings alone, without effects."""
-        return cls(scenario.tick)
-
     def with_effects(self, effects: Iterable[Effect]) -> PlatformParameters:
         """This object, changed by the platform effects among ``effects``."""
         for effect in effects:
             if effect.link == "platform":
                 effect.apply(self)
         return self
+
+
+class RigParameters(NamedTuple):
+    """What `n` rigs of one structure are made of.
+
+    Attributes:
+        facility: the platform, with the vehicles if they move freely. structure: of the sides on
+            it. runs: rates, and settings of each platform. mechanism: numbers of each mechanism.
+        responses: of each platform, effects included; departs: whether any effect acts on one.
+        start: (n, 13) pose of A in P and relative twist in P at t = 0.
+        watched: (n, 5) which limits of the drives (stroke, speed, acceleration, force, reach) end a
+            run; None: no limit is the facility's.
+        upper: tracking of the upper platform, "servo" or "ideal"; None: the passive side is fixed.
+    """
+
+    facility: Facility
+    structure: Structure
+    runs: Runs
+    mechanism: MechanismParameters
+    responses: Sequence[PlatformParameters]
+    departs: bool
+    start: Array
+    watched: NDArray[np.bool_] | None = None
+    upper: str | None = None
 
 
 class ResponseParameters(NamedTuple):

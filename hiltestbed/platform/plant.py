@@ -4,7 +4,6 @@ measures the contact of the mechanisms.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -19,30 +18,13 @@ from hiltestbed.contact.jacobian import held_pair
 from hiltestbed.contact.phases import LatchCondition, Phases
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.platform import build
-from hiltestbed.platform.build import structure
 from hiltestbed.platform.driven import ServoTracking
 from hiltestbed.platform.ideal import IdealTracking
 from hiltestbed.platform.nine_axes import NineAxes
+from hiltestbed.platform.parameters import RigParameters
 
 if TYPE_CHECKING:
     from hiltestbed.contact.contacts import AppliedForce
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
-
-
-def alike(scenario: Scenario) -> Hashable:
-    """Everything that must be equal in the scenarios of one :class:`Plant`."""
-    platform, upper = scenario.rig.platform, scenario.rig.upper
-    above = (upper.kind, upper.tracking if upper.kind != "fixed" else None)
-    return (
-        scenario.rate,
-        scenario.physics_rate,
-        structure(scenario),
-        build.alike(scenario),
-        platform.tracking,
-        above,
-    )
 
 
 class Plant:
@@ -68,7 +50,7 @@ class Plant:
 
     def __init__(
         self,
-        scenarios: Sequence[Scenario],
+        parameters: RigParameters,
         nthread: int = 1,
         late: NDArray[np.bool_] | None = None,
         force: AppliedForce | None = None,
@@ -82,31 +64,26 @@ class Plant:
             late: (n,) whether a run does not need the wrench at t_k before the tick that begins
                 there, which is cheaper; none by default.
         """
-        if len({alike(s) for s in scenarios}) != 1:
-            raise InputError(
-                "one Plant takes runs of one structure: the same rate, physics_rate, "
-                "rig.platform, rig.upper and mechanism.kind; "
-                "mechanism.mount, contact.friction > 0 and effects of the contact in all or in none"
-            )
-        first, made_of = scenarios[0], structure(scenarios[0])
+        made_of, runs, n = parameters.structure, parameters.runs, len(parameters.start)
         if force is not None:
             made_of = replace(made_of, constant=True, latched=False, touches=False, held=held)
+            parameters = parameters._replace(structure=made_of)
         lower: IdealTracking | ServoTracking
-        self.physical = first.rig.platform.physical
-        if first.rig.platform.prescribed:
-            lower = IdealTracking(scenarios, nthread, made_of, force)
+        self.physical = runs.settings[0].physical
+        if runs.settings[0].prescribed:
+            lower = IdealTracking(parameters, nthread, force)
         else:
-            lower = ServoTracking(scenarios, nthread, made_of, late, force)
-        above = NineAxes(scenarios, lower, nthread) if first.rig.upper.kind == "prs3" else None
+            lower = ServoTracking(parameters, nthread, late, force)
+        above = None if parameters.upper is None else NineAxes(parameters, lower, nthread)
         tracking = lower if above is None else above
         self.units, self._lower, self._above, self._tracking = lower.units, lower, above, tracking
         self._batch, self._made_of = lower.batch, made_of
-        latches = force is None and any(s.mechanism.latch for s in scenarios)
-        self._latch = LatchCondition(scenarios) if latches else None
+        latches = force is None and made_of.mechanism.latch is not None
+        self._latch = LatchCondition(parameters.mechanism.closing) if latches else None
         self.phases: Phases | None = None
         if force is None and made_of.mechanism.phases():
             legs = lower.contacts.engagement.legs
-            self.phases = Phases(lower.batch, made_of, first.tick, len(scenarios), legs)
+            self.phases = Phases(lower.batch, made_of, runs.tick, n, legs)
         self.pose_W: Array = lower.pose_act
         self.pose_act: Array = tracking.pose_act
         self.twist_act: Array = tracking.twist_act
@@ -115,7 +92,7 @@ class Plant:
         self.captured: NDArray[np.bool_] = tracking.contacts.latched
         self.slider_cmd: Array = tracking.slider_cmd
         self.slider_act: Array = tracking.slider_act
-        still = np.zeros((len(scenarios), 3))
+        still = np.zeros((n, 3))
         self.upper_cmd: Array = above.upper_cmd if above else still
         self.upper_act: Array = above.upper_act if above else still
         self.diverged: NDArray[np.bool_] = tracking.diverged
@@ -217,8 +194,8 @@ class FreeMotion:
     That wrench is a view of the plant's array, which may be filled only after the tick has begun.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], plant: MovedBodies) -> None:
-        start = np.array([approach_state(s) for s in scenarios])
+    def __init__(self, start: Array, plant: MovedBodies) -> None:
+        """``start``: (n, 13) initial pose and twist of A relative to P, in P."""
         self.pose: Array = start[:, :7].copy()
         self.twist: Array = start[:, 7:].copy()
         self.wrench: Array = plant.wrench_sub[:, -1]
@@ -235,9 +212,9 @@ WRITERS = {
 }
 
 
-def write_model(scenario: Scenario, file: Path) -> Path:
-    """Write the model that the loop steps, with the numbers of the scenario that MuJoCo keeps in
-    it, and return ``file``: .mjb in MuJoCo's binary form, .txt with every body, joint and pair.
+def write_model(model: mujoco.MjModel, file: Path) -> Path:
+    """Write a model that the loop steps, and return ``file``: .mjb in MuJoCo's binary form, .txt
+    with every body, joint and pair.
 
     Raises:
         InputError: another suffix, or the file cannot be written.
@@ -247,7 +224,6 @@ def write_model(scenario: Scenario, file: Path) -> Path:
         raise InputError(
             f"--model: no such format (got {file.name}); allowed are {', '.join(WRITERS)}"
         )
-    model = Plant([scenario]).model
     try:
         file.write_bytes(b"")  # MuJoCo itself does not say why it cannot write
         write(model, str(file))

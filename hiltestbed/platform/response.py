@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
-from hiltestbed.effects.table import by_link
 from hiltestbed.frames import Array
 from hiltestbed.platform.drive import PLACE, RATE, STATE, drive_over
 from hiltestbed.platform.parameters import (
@@ -28,9 +27,6 @@ from hiltestbed.platform.parameters import (
     stack,
     summed_over,
 )
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 # state of an axis [m]: outputs of speed limit, play and stiction
 LIMITED, PLAYED, HELD, MEMORY = 0, 1, 2, 3
@@ -180,19 +176,15 @@ class PlatformResponse:
 
     def __init__(
         self,
-        scenarios: Sequence[Scenario],
-        parameters: Sequence[PlatformParameters] | None = None,
-        substeps: int | None = None,
+        parameters: Sequence[PlatformParameters],
+        start: Array,
+        substeps: int,
+        active: bool = True,
     ) -> None:
-        """``parameters``: default: from effects. ``substeps``: default: the physics steps."""
-        n, first = len(scenarios), scenarios[0]
-        self.tick = 1.0 / first.rate
-        self.substeps = first.substeps if substeps is None else substeps
-        if parameters is None:
-            self.active = any(by_link(s.effects, "platform") for s in scenarios)
-            parameters = [PlatformParameters(self.tick).with_effects(s.effects) for s in scenarios]
-        else:
-            self.active = True
+        """``start`` (n, 13): pose and twist of the uniform approach. ``substeps``: instants of a
+        tick.
+        """
+        n, self.tick, self.substeps, self.active = len(start), parameters[0].tick, substeps, active
         p, late = stack(parameters), np.array([each.delay for each in parameters]) / self.tick
         slots = math.ceil(float(late.max()) + longest_memory(p.step) / self.tick) + 3
         lags, modes = p.lag.shape[1], p.mode.shape[1]
@@ -215,12 +207,8 @@ class PlatformResponse:
             for i, s in np.argwhere(numbers[..., 0] > 0.0):
                 second_order(*numbers[i, s], paths.dt, base, kernel[i, s])
         self._advance = Call(_advance_paths, ..., GIVEN, paths)
-        for i, s in enumerate(scenarios):
-            self.begin(
-                i,
-                np.array([*s.approach.offset, -s.approach.gap]),
-                np.asarray(s.approach.velocity, dtype=float),
-            )
+        for i, state in enumerate(start):
+            self.begin(i, state[:3], state[7:10])
 
     def begin(self, i: int, start: Array, velocity: Array) -> None:
         """Start run ``i`` in a uniform motion: ``start`` (3,) [m], ``velocity`` (3,) [m/s]."""

@@ -13,16 +13,20 @@ from hiltestbed import build
 from hiltestbed.compensation.input import InputDeadZone, InputParameters
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.phases import closes, latch_limits
+from hiltestbed.contact.parameters import latch_limits
+from hiltestbed.contact.phases import closes
 from hiltestbed.frames import Array
-from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.numerical_model.bodies import approach_state, approach_states
 from hiltestbed.numerical_model.kernels import place_at_start
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
 from hiltestbed.replay.felt import slopes
 
 if TYPE_CHECKING:
+    from hiltestbed.compensation.settings import Compensation
+    from hiltestbed.contact.settings import Mechanism
     from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.spacecraft import Approach
 
 INPUTS = {
     "wrench": "wrench_meas",
@@ -34,25 +38,30 @@ INPUTS = {
 }
 
 
-def needs(scenario: Scenario) -> set[str]:
-    """The column groups of a record that the compensation of a scenario needs as inputs."""
-    return {INPUTS[name] for name in _inputs(scenario)} | {"wrench_meas"}
+def needs(compensation: Compensation, mechanism: Mechanism) -> set[str]:
+    """The column groups of a record that a compensation needs as inputs."""
+    return {INPUTS[name] for name in _inputs(compensation, mechanism)} | {"wrench_meas"}
 
 
-def reads_rates(scenario: Scenario) -> bool:
-    """Whether the compensation of a scenario depends on the twist of A."""
-    return bool(_inputs(scenario) & {"twist", "identified", "captured"})
+def reads_rates(compensation: Compensation, mechanism: Mechanism) -> bool:
+    """Whether a compensation depends on the twist of A."""
+    return bool(_inputs(compensation, mechanism) & {"twist", "identified", "captured"})
 
 
-def _inputs(scenario: Scenario) -> set[str]:
-    """What the compensation of a scenario reads at t_k."""
-    compensation = scenario.compensation
-    reads: set[str] = set(compensation.force.reads)
+def _inputs(compensation: Compensation, mechanism: Mechanism) -> set[str]:
+    """What a compensation reads at t_k."""
+    reads = _reads(compensation)
     if compensation.motion.corrects_force:
-        reads |= set(compensation.motion.reads) | {"model"}
-    if scenario.mechanism.captured or not scenario.mechanism.latches:
+        reads.add("model")
+    if mechanism.captured or not mechanism.latches:
         reads.discard("captured")
     return reads
+
+
+def _reads(compensation: Compensation) -> set[str]:
+    """What the methods of a compensation state that they read, for the force."""
+    motion = compensation.motion
+    return {*compensation.force.reads, *(motion.reads if motion.corrects_force else ())}
 
 
 class RecordedModel(NumericalModel):
@@ -93,16 +102,21 @@ def replay_compensation(
             "twist_cmd" (R, N, 6) if recorded.
     """
     rows, n = readings.shape[1], len(run)
-    pose, twist = _reached(scenarios, records, run, rows)
-    model = _model(scenarios, records, run)
+    start = approach_states(s.approach for s in scenarios)
+    pose, twist = _reached(start, scenarios[0].tick, records, run, rows)
+    model = _model(scenarios, start, records, run)
     drive = build.drive(scenarios, model)
     dead_zone = InputDeadZone(inputs)
-    estimate = build.identification(scenarios) if "identified" in _reads(scenarios[0]) else None
+    estimate = (
+        build.identification(scenarios)
+        if "identified" in _reads(scenarios[0].compensation)
+        else None
+    )
     unknown = np.full((n, 6), np.nan)
     captured = np.array([s.mechanism.captured for s in scenarios])
     if estimate is not None:
         estimate.source.captured = captured
-    limits = latch_limits(scenarios)
+    limits = latch_limits(s.mechanism.latch for s in scenarios)
     reading, wrench = np.zeros((n, 6)), np.zeros((n, 6))
     measurement = Measurement(
         wrench,
@@ -128,15 +142,8 @@ def replay_compensation(
     return out
 
 
-def _reads(scenario: Scenario) -> set[str]:
-    compensation = scenario.compensation
-    return set(compensation.force.reads) | (
-        set(compensation.motion.reads) if compensation.motion.corrects_force else set()
-    )
-
-
 def _model(
-    scenarios: Sequence[Scenario], records: dict[str, Array], run: np.ndarray
+    scenarios: Sequence[Scenario], start: Array, records: dict[str, Array], run: np.ndarray
 ) -> NumericalModel:
     """The recorded numerical model; without a recorded pose_cmd, one that stays at its start."""
     poses = records.get("pose_cmd")
@@ -145,7 +152,7 @@ def _model(
     twists = records.get("twist_cmd")
     if twists is None:
         starts = np.zeros((len(poses), 7))
-        starts[run] = [approach_state(s)[:7] for s in scenarios]
+        starts[run] = start[:, :7]
         twists = slopes(poses, starts, scenarios[0].tick)
     return RecordedModel(scenarios, poses, twists, run)
 
@@ -158,7 +165,7 @@ class _Idle(NumericalModel):
 
 
 def _reached(
-    scenarios: Sequence[Scenario], records: dict[str, Array], run: np.ndarray, rows: int
+    start: Array, tick: float, records: dict[str, Array], run: np.ndarray, rows: int
 ) -> tuple[Array, Array]:
     """``(R, N, 7)`` poses and ``(R, N, 6)`` twists that the rig reached; without recorded twists,
     the mean twist over each tick.
@@ -171,19 +178,19 @@ def _reached(
         return still, np.zeros((runs, rows, 6))
     twists = records.get("twist_act")
     if twists is None:
-        twists = slopes(poses, poses[:, 0].copy(), scenarios[0].tick)
+        twists = slopes(poses, poses[:, 0].copy(), tick)
         starts = np.zeros((runs, 6))
-        starts[run] = [approach_state(s)[7:] for s in scenarios]
+        starts[run] = start[:, 7:]
         twists[:, 0] = starts
     return poses, twists
 
 
-def central_rates(scenario: Scenario, path: Array) -> Array:
-    """``(N, 6)`` twists at the rows of a path (N, 7), each the mean of the twists over the ticks
-    before and after.
+def central_rates(approach: Approach, tick: float, path: Array) -> Array:
+    """``(N, 6)`` twists at the rows of a path (N, 7), one a ``tick`` [s], each the mean of the
+    twists over the ticks before and after.
     """
-    before = slopes(path[None], path[None, 0], scenario.tick)[0]
-    before[0] = approach_state(scenario)[7:]
+    before = slopes(path[None], path[None, 0], tick)[0]
+    before[0] = approach_state(approach)[7:]
     return np.asarray(0.5 * (before + np.concatenate([before[1:], before[-1:]])))
 
 

@@ -8,23 +8,19 @@ import math
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.contact.geometry import Geometry, arm, unmet
 from hiltestbed.contact.mount_dynamics import MountDynamics
-from hiltestbed.contact.parameters import BLUNT, OFFSET, PARAMETERS
-from hiltestbed.contact.phases import latch_limits
+from hiltestbed.contact.parameters import BLUNT, OFFSET, PARAMETERS, latch_limits
+from hiltestbed.contact.settings import Mechanism
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.wrench import meet_all
 from hiltestbed.frames import Array, pose_step, twist_between
-from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.driven import least_creep
-
-if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+from hiltestbed.platform.facilities.facility import Runs
 
 # [byte] of contact wrenches that are cached, for replays that change only the sensor
 KEPT = 64_000_000
@@ -102,24 +98,31 @@ class Felt:
     kept: Kept = field(default_factory=Kept, init=False, repr=False)
 
     @classmethod
-    def along(cls, scenarios: Sequence[Scenario], poses: Array, rates: Array | None = None) -> Felt:
-        """The believed mechanism of the ``scenarios`` of R runs, with two rigid sides."""
-        first, before = scenarios[0], np.empty((len(scenarios), 7))
-        for s, path, start in zip(scenarios, poses, before, strict=True):
-            pose_step(path[0], approach_state(s)[7:], -s.tick, start)
+    def along(
+        cls,
+        mechanisms: Sequence[Mechanism],
+        start: Array,
+        rig: Runs,
+        poses: Array,
+        rates: Array | None = None,
+    ) -> Felt:
+        """The believed mechanisms of R runs, of one shape, with two rigid sides. ``start``: (R, 13)
+        of A in P. ``rig``: on which they are.
+        """
+        before = np.empty((len(poses), 7))
+        for path, twist, place in zip(poses, start[:, 7:], before, strict=True):
+            pose_step(path[0], twist, -rig.tick, place)
         return cls(
             poses,
             before,
-            first.tick,
-            sides_of(first.mechanism).geometry,
-            np.array([s.mechanism.captured for s in scenarios]),
-            latch_limits(scenarios),
-            MountDynamics.of(scenarios),
-            first.substeps,
+            rig.tick,
+            sides_of(mechanisms[0]).geometry,
+            np.array([m.captured for m in mechanisms]),
+            latch_limits(m.latch for m in mechanisms),
+            MountDynamics.of(mechanisms),
+            rig.substeps,
             rates=rates,
-            least_creep=(
-                0.0 if first.rig.platform.prescribed else least_creep(1.0 / first.physics_rate)
-            ),
+            least_creep=0.0 if rig.settings[0].prescribed else least_creep(rig.step),
         )
 
     def __post_init__(self) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.frames import Array
-from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose
+from hiltestbed.numerical_model.bodies import inertia_matrix, port_pose
 from hiltestbed.numerical_model.kernels import (
     load_wrench,
     move,
@@ -22,7 +22,7 @@ from hiltestbed.numerical_model.parameters import RATIO, Departures
 from hiltestbed.numerical_model.resistance import resist_between, resist_bodies
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.spacecraft import Spacecraft
 
 
 def replay_model(
@@ -65,10 +65,11 @@ class Departing:
             and inertia are those of the bodies without appendages.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], departures: Departures) -> None:
-        bodies = [(s.spacecraft.chaser, s.spacecraft.target) for s in scenarios]
-        self.departures, self.tick = departures, scenarios[0].tick
-        self.approach = np.array([approach_state(s) for s in scenarios])
+    def __init__(
+        self, spacecraft: Sequence[Spacecraft], approach: Array, tick: float, departures: Departures
+    ) -> None:
+        bodies = [(pair.chaser, pair.target) for pair in spacecraft]
+        self.departures, self.tick, self.approach = departures, tick, approach
         self.port = np.array([[port_pose(b) for b in pair] for pair in bodies])
         self.port[..., :3] += departures.port
         self.whole = np.array([[b.mass for b in pair] for pair in bodies]) * departures.mass

@@ -25,7 +25,6 @@ from hiltestbed.replay.stiction import ON_AN_INSTANT, Obeying, commanded, stick_
 
 if TYPE_CHECKING:
     from hiltestbed.platform.parameters import PlatformParameters
-    from hiltestbed.scenario import Scenario
 
 
 class PlatformLane(NamedTuple):
@@ -68,8 +67,9 @@ class PlatformLane(NamedTuple):
 
 
 def replay_platform(
-    scenarios: Sequence[Scenario],
     parameters: Sequence[PlatformParameters],
+    start: Array,
+    substeps: Sequence[int],
     commands: Array,
     run: np.ndarray,
     obeyed: Array | None = None,
@@ -82,25 +82,27 @@ def replay_platform(
     (:func:`_held_throughout`).
 
     Args:
-        scenarios, parameters: of each lane. commands: ``(R, N, >= 3)`` pose_cmd; row k is to be
+        parameters, start (L, 13), substeps: of each lane, its pose and twist at t = 0, and its
+            physics steps in a tick. commands: ``(R, N, >= 3)`` pose_cmd; row k is to be
             reached at t_(k+1).
         obeyed: (L,) [s] by which commands take effect later than at t_k, on a platform that is
             where its delay alone has it at t = 0.
     """
     obeyed = np.zeros(len(run)) if obeyed is None else obeyed
     out = np.empty((len(run), commands.shape[1], 3))
-    for i, (s, p) in enumerate(zip(scenarios, parameters, strict=True)):
-        lane = _lane(s, p, scenarios[0].tick, float(obeyed[i]))
+    for i, (p, state, m) in enumerate(zip(parameters, start, substeps, strict=True)):
+        lane = _lane(p, state, m, float(obeyed[i]))
         _replay(commands[run[i]], lane, out[i])
     return out
 
 
-def _lane(s: Scenario, p: PlatformParameters, tick: float, obeyed: float) -> PlatformLane:
+def _lane(p: PlatformParameters, start: Array, substeps: int, obeyed: float) -> PlatformLane:
+    tick = p.tick
     late = (float(p.delay) + obeyed) / tick
     bend = late - math.floor(late)
     straight = min(bend, 1.0 - bend) < ON_AN_INSTANT
     if p.stick > 0.0:
-        m = p.instants or s.substeps
+        m = p.instants or substeps
         parts = np.array([*(np.arange(1, m + 1) - p.phase) / m, *([1.0] if p.phase else [])])
     else:
         parts = np.array([1.0] if straight else [bend, 1.0])
@@ -112,8 +114,8 @@ def _lane(s: Scenario, p: PlatformParameters, tick: float, obeyed: float) -> Pla
     steps, long = np.diff(parts, prepend=0.0) * tick, np.diff(ends) / count * tick
     lag, mode = (np.array(x, dtype=float).reshape(-1, 2) for x in (p.lag, p.mode))
     return PlatformLane(
-        start=np.array([*s.approach.offset, -s.approach.gap], dtype=float),
-        velocity=np.array(s.approach.velocity, dtype=float),
+        start=start[:3],
+        velocity=start[7:10],
         late=late,
         at_start=obeyed / tick,
         h=tick,

@@ -19,10 +19,12 @@ from hiltestbed.build import identification, motion_command
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.build import plant_of
 from hiltestbed.replay.felt import slopes
 
 if TYPE_CHECKING:
+    from hiltestbed.compensation.settings import Compensation
+    from hiltestbed.platform.settings import Rig
     from hiltestbed.scenario import Scenario
 
 # [m] distance from its command at which a platform counts as lost: at 50 kN, the sensor's overload,
@@ -55,28 +57,24 @@ class RecordedForce:
         return self._record[low] + (row - low) * (self._record[high] - self._record[low]) + more
 
 
-def follows_exactly(scenario: Scenario) -> bool:
-    """Whether the nominal rig reaches the numerical model's pose exactly, one tick later."""
-    rig = scenario.rig
-    return (
-        rig.platform.tracking == "ideal"
-        and rig.upper.kind == "fixed"
-        and scenario.compensation.motion.tells_model_pose
-    )
+def follows_exactly(rig: Rig, compensation: Compensation) -> bool:
+    """Whether a nominal ``rig`` reaches the numerical model's pose exactly, one tick later."""
+    fixed = rig.upper.kind == "fixed"
+    return rig.platform.tracking == "ideal" and fixed and compensation.motion.tells_model_pose
 
 
-def moves_linearly(scenario: Scenario) -> bool:
+def moves_linearly(rig: Rig) -> bool:
     """Whether A moves uniformly within a tick relative to P, so that the contact's rate at t_k is
     the mean over the tick that ends.
     """
-    return scenario.rig.platform.prescribed and scenario.rig.upper.kind == "fixed"
+    return rig.platform.prescribed and rig.upper.kind == "fixed"
 
 
-def can_carry(scenario: Scenario) -> bool:
+def can_carry(rig: Rig) -> bool:
     """Whether the motion of A relative to P within a tick follows from recorded poses and rates: it
     is uniform, or stepped by a servo.
     """
-    return scenario.rig.platform.tracking != "response" and scenario.rig.upper.kind == "fixed"
+    return rig.platform.tracking != "response" and rig.upper.kind == "fixed"
 
 
 def replay_rig(
@@ -102,8 +100,8 @@ def replay_rig(
         reached: ``(N, 7)`` pose reached at t_k, as input of a motion compensation; None: the pose
             reached in this replay.
     """
-    start = approach_state(scenario)
-    plant = Plant([scenario], force=RecordedForce(wrench, scenario.substeps, between), held=True)
+    start = approach_state(scenario.approach)
+    plant = plant_of([scenario], force=RecordedForce(wrench, scenario.substeps, between), held=True)
     plant.reset(start[None, :7], start[None, 7:])
     motion = motion_command([scenario])
     motion.start(start[None, 7:])

@@ -12,7 +12,6 @@ from numba import get_num_threads
 
 from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.contact.wrench import tilts
-from hiltestbed.effects.base import Effect
 from hiltestbed.effects.log import LogParameters
 from hiltestbed.frames import Array
 from hiltestbed.replay.contact_path import Trajectory, contact_along
@@ -28,8 +27,7 @@ class Lane(NamedTuple):
     """One lane: the run that drives it, and the parameters of contact, sensor and record; later:
     [s] additional delay of the reading.
 
-    ``contact``: (C + 1, PARAMETERS) of each candidate and of the latch. ``effects``: those on the
-        contact, which ``contact`` includes.
+    ``contact``: (C + 1, PARAMETERS) of each candidate and of the latch.
     """
 
     run: int
@@ -37,7 +35,6 @@ class Lane(NamedTuple):
     sensor: SensorParameters
     log: LogParameters
     later: float = 0.0
-    effects: Sequence[Effect] = ()
 
 
 def replay_wrench(felt: Felt | Simulated, lanes: Sequence[Lane], grid: int | None = None) -> Array:
@@ -76,7 +73,7 @@ def replay_wrench(felt: Felt | Simulated, lanes: Sequence[Lane], grid: int | Non
     known = {key: felt.kept.get(key) for key in sharing}
     new = [members[0] for key, members in sharing.items() if known[key] is None]
     if isinstance(felt, Simulated):
-        exerted = iter(felt.exerted([(lanes[i].run, lanes[i].effects) for i in new]))
+        exerted = iter(felt.exerted([(lanes[i].run, lanes[i].contact) for i in new]))
     else:
         exerted = _exerted(felt, [lanes[i] for i in new], parts[new], between)
     for key, members in sharing.items():

@@ -52,10 +52,10 @@ def run_report(run: Run) -> Report:
     if run.trace is not None and len(run.trace.t):
         report.figure(_signals(run.trace), "Along the insertion. Shaded: in contact.")
     report.heading("Is the loop passive?")
-    report.text(_margin(acting_along_z(run.scenario), summary))
+    report.text(_margin(acting_along_z(run.scenario.impact), summary))
     if run.trace is not None and summary["contact_duration"] and len(run.trace.t) > 1:
         caption = "Energy that the rig has made so far. For a passive rig it is never above zero."
-        made = energy_generated(run.trace, approach_state(run.scenario), run.scenario.tick)
+        made = energy_generated(run.trace, approach_state(run.scenario.approach), run.scenario.tick)
         report.figure(_energy(run.trace, made, summary.get("approach_energy")), caption)
     _ledger(report, summary)
     _identified(report, run)

@@ -11,7 +11,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -32,7 +32,7 @@ from hiltestbed.config.yaml_source import KeyPath, Source, dump_yaml, read_sourc
 from hiltestbed.contact.settings import AnyMechanism
 from hiltestbed.devices.section import Devices
 from hiltestbed.effects.base import repeated
-from hiltestbed.effects.table import AnyEffect
+from hiltestbed.effects.table import AnyEffect, by_link
 from hiltestbed.identification.settings import IDENTIFIERS, AnyIdentifier
 from hiltestbed.numerical_model.settings import MODELS, AnyModel
 from hiltestbed.platform.settings import Rig
@@ -42,6 +42,9 @@ from hiltestbed.scenario.monitoring import Monitoring
 from hiltestbed.scenario.safety import SafetyLimits
 from hiltestbed.scenario.spacecraft import Approach, Spacecraft
 from hiltestbed.sensor.settings import Sensor
+
+if TYPE_CHECKING:
+    from hiltestbed.contact.touch import Impact
 
 TICK_LIMIT = 20_000_000  # a trace of this many rows fills 16 GB
 
@@ -140,7 +143,15 @@ class Scenario(Strictly):
             return self.stated_physics_rate
         from hiltestbed.contact.resolution import sufficient_rate
 
-        return sufficient_rate(self)
+        return sufficient_rate(self.impact, self.rate)
+
+    @property
+    def impact(self) -> Impact:
+        """Both vehicles and their mechanism, for what their first contact will be."""
+        from hiltestbed.contact.touch import Impact
+
+        acting = tuple(by_link(self.effects, "contact"))
+        return Impact(self.mechanism, acting, self.spacecraft, self.approach)
 
     @property
     def substeps(self) -> int:

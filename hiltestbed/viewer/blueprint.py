@@ -174,7 +174,9 @@ def _contact(facts: ShownRun) -> rrb.Vertical:
         ]
     less = trace["wrench_meas"][:, :3] - trace["wrench_true"][:, :3]
     positions = 1e3 * np.stack([trace["pose_cmd"][:, 2], trace["pose_act"][:, 2]], axis=-1)
-    energy = energy_generated(trace, approach_state(facts.run.scenario), facts.run.scenario.tick)
+    energy = energy_generated(
+        trace, approach_state(facts.run.scenario.approach), facts.run.scenario.tick
+    )
     left = rrb.Vertical(
         _plot(facts, "position_mm/z", "Insertion, z [mm]", _range(facts, positions)),
         _plot(facts, "force/z", "Contact force, z [N]", _range(facts, _forces(trace, 2))),

@@ -65,7 +65,7 @@ def send_signals(rec: rr.RecordingStream, run: Run, trace: RunTrace) -> None:
     _axes(plotter, trace)
     _estimates(plotter, run, trace)
     _platform(plotter, trace)
-    energy = energy_generated(trace, approach_state(run.scenario), run.scenario.tick)
+    energy = energy_generated(trace, approach_state(run.scenario.approach), run.scenario.tick)
     plotter.curves(
         "energy_generated", ["made by the rig [J]"], [colors.ENERGY], energy[:, None], [2.0]
     )

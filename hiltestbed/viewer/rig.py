@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from hiltestbed.contact.composition import ACTIVE, PASSIVE
 from hiltestbed.frames import Array, quat_from_mujoco
-from hiltestbed.platform.drawing import drawn_rig
+from hiltestbed.platform.build import facility_of, runs_of
+from hiltestbed.platform.drawing import DrawnFacility, DrawnNineAxes
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import JOINT, RunTrace
 from hiltestbed.viewer import colors
@@ -36,7 +37,12 @@ class RigScene:
     """The drawn model of a rig, and the joint positions for given poses of its ports."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self._rig = drawn_rig(scenario)
+        facility, mechanism = facility_of(scenario), scenario.mechanism
+        self._rig = (
+            DrawnNineAxes(facility, mechanism)
+            if scenario.rig.upper.kind == "prs3"
+            else DrawnFacility(facility, mechanism, runs_of([scenario]))
+        )
         self.model = self._rig.model
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)

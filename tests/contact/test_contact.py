@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.build import plant_of
 from hiltestbed.scenario import scenario_from
 from tests.platform.rigs import K, Press, fitted, pose, scenario
 
@@ -20,7 +20,7 @@ def test_the_plants_own_force_and_pose_give_stiffness_and_damping(
     tracking: str, k_within: float, c_within: float, place: tuple[float, float]
 ) -> None:
     s = scenario(tracking, damping=300.0)
-    depth, rate, wrench = Press(Plant([s]), s.rate, *place).run(800).columns()
+    depth, rate, wrench = Press(plant_of([s]), s.rate, *place).run(800).columns()
     k, c = fitted(depth, rate, wrench[:, 2])
     assert k == pytest.approx(K, rel=k_within)
     assert c == pytest.approx(300.0, rel=c_within)
@@ -30,7 +30,7 @@ def test_the_plants_own_force_and_pose_give_stiffness_and_damping(
 def test_the_contact_never_pulls(tracking: str) -> None:
     """While the tip leaves k x + c v would pull: the force is 0, not negative."""
     s = scenario(tracking, stiffness=1e4, damping=2000.0)
-    _, _, wrench = Press(Plant([s]), s.rate).run(800).columns()
+    _, _, wrench = Press(plant_of([s]), s.rate).run(800).columns()
     assert wrench[:, 2].max() > 10.0
     assert wrench[:, 2].min() > -1e-6
 
@@ -42,7 +42,7 @@ def test_a_law_in_place_of_the_linear_contact_acts_as_written(tracking: str, pla
     power = {"kind": "contact.power_law", "exponent": 1.5, "stiffness": 3.0e6}
     rise = {"kind": "contact.hunt_crossley", "alpha": 2.0}
     s = scenario_from(scenario(tracking).model_dump(mode="json") | {"effects": [power, rise]})
-    depth, rate, wrench = Press(Plant([s]), s.rate, place).run(800).columns()
+    depth, rate, wrench = Press(plant_of([s]), s.rate, place).run(800).columns()
     expected = 3.0e6 * np.maximum(depth, 0.0) ** 1.5 * (1.0 + 2.0 * rate)
     assert expected.max() > 100.0
     close = 1e-9 if tracking == "ideal" else 1e-6 * expected.max()
@@ -53,7 +53,7 @@ def test_a_law_in_place_of_the_linear_contact_acts_as_written(tracking: str, pla
 def test_each_run_of_a_batch_has_its_own_contact(tracking: str) -> None:
     stiffness = [1e4, 1e5, 1e6]
     scenarios = [scenario(tracking, stiffness=k, damping=0.0) for k in stiffness]
-    plant, still = Plant(scenarios), np.zeros((3, 6))
+    plant, still = plant_of(scenarios), np.zeros((3, 6))
     plant.reset(pose(z=1e-3, n=3), still)
     for _ in range(600):
         plant.advance(pose(z=1e-3, n=3), still, still)

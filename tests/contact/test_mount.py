@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from hiltestbed.contact.wrench import LATCH_RADIUS
 from hiltestbed.frames import Array
-from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.build import plant_of
 from hiltestbed.scenario import Scenario
 from tests.platform.rigs import scenario
 
@@ -49,7 +49,7 @@ def in_series(axis: int) -> float:
 @pytest.mark.parametrize("axis", range(6))
 def test_each_axis_is_its_spring_when_held(axis: int) -> None:
     """Within 0.1 % along the axis, under 0.1 % of it across; pull and push alike."""
-    plant, still = Plant([rig("servo")]), np.zeros((1, 6))
+    plant, still = plant_of([rig("servo")]), np.zeros((1, 6))
     for sign in (1.0, -1.0):
         amount = sign * (1e-3 if axis < 3 else 2e-3)
         plant.reset(displaced(axis, 0.0), still)
@@ -77,7 +77,7 @@ def test_each_axis_is_its_spring_and_damper_in_motion(axis: int) -> None:
     0.08 % of the path.
     """
     s = rig()
-    plant, w, amount = Plant([s]), 2.0 * np.pi * 1.5, (1e-3 if axis < 3 else 2e-3)
+    plant, w, amount = plant_of([s]), 2.0 * np.pi * 1.5, (1e-3 if axis < 3 else 2e-3)
     plant.reset(displaced(axis, 0.0), np.zeros((1, 6)))
     rows = []
     for k in range(2000):
@@ -97,7 +97,7 @@ def test_the_passive_side_swings_free_at_its_own_frequency() -> None:
     """Pushed by a probe that then leaves, 120 kg on 1e5 N/m ring at sqrt(k/m) = 4.59 Hz."""
     contact = {"stiffness": 1e5, "damping": 0.0, "friction": 0.0}
     mount = {"stiffness": list(STIFFNESS), "damping": [0.0] * 6}
-    plant = Plant(
+    plant = plant_of(
         [scenario("ideal", mechanism={"kind": "bumper", "contact": contact, "mount": mount})]
     )
     still, h = np.zeros((1, 6)), 1.0 / 2000.0

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from hiltestbed.contact.facets import NORM, SLIP
 from hiltestbed.frames import Array
-from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.build import plant_of
 from hiltestbed.scenario import Scenario
 from tests.equipment.independent_rig.cone import Surfaces
 from tests.platform.rigs import pose, scenario
@@ -85,7 +85,7 @@ def pressed(where: str, t: float, azimuth: float, depth: float) -> tuple[Array, 
 
 def test_force_of_a_penetration_anywhere_on_the_passive_surface(subtests: pytest.Subtests) -> None:
     """Magnitude k x within 0.1 %, direction within 0.01 deg, one contact."""
-    plant = Plant([rig()])
+    plant = plant_of([rig()])
     for (where, t), azimuth in product(PLACES, [0.0, 1.0, 2.2, -0.7, -2.9]):
         with subtests.test(where=where, t=t, azimuth=azimuth):
             start, push = pressed(where, t, azimuth, 1e-3)
@@ -101,7 +101,7 @@ def test_force_of_a_penetration_anywhere_on_the_passive_surface(subtests: pytest
 
 @pytest.mark.parametrize(("where", "t"), [("cone", 0.6), ("rim", 0.5)])
 def test_the_servo_feels_the_same_force_at_the_pose_that_it_reaches(where: str, t: float) -> None:
-    plant, still = Plant([rig("servo", damping=200.0)]), np.zeros((1, 6))
+    plant, still = plant_of([rig("servo", damping=200.0)]), np.zeros((1, 6))
     start, push = pressed(where, t, 0.4, 1e-3)
     plant.reset(start, still)
     for _ in range(600):
@@ -134,7 +134,7 @@ def test_the_rod_meets_the_rim_in_one_contact(azimuth: float) -> None:
 
     axis, centre = around(-back), around(tip)
     turn = Rotation.align_vectors(axis[None], [[0.0, 0.0, 1.0]])[0]
-    plant = Plant([rig()])
+    plant = plant_of([rig()])
     plant.reset(np.concatenate([centre + BALL * axis, turn.as_quat()])[None], np.zeros((1, 6)))
     met = plant.contacts().met[0]
     assert met[BALLS, 0] < 0.0
@@ -143,7 +143,7 @@ def test_the_rod_meets_the_rim_in_one_contact(azimuth: float) -> None:
 
 
 def test_nothing_is_felt_where_nothing_touches() -> None:
-    plant = Plant([rig()])
+    plant = plant_of([rig()])
     for x, z in ((0.0, -0.01), (0.1, -0.12), (0.25, -0.1), (0.25, 0.0)):
         plant.reset(pose(x, 0.0, z), np.zeros((1, 6)))
         assert not plant.wrench_sub.any()
@@ -153,7 +153,7 @@ def test_nothing_is_felt_where_nothing_touches() -> None:
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 def test_sliding_down_the_cone_is_at_the_coulomb_limit(tracking: str) -> None:
     """Tangential over normal force within 1 % of mu, sliding at 0.05 m/s along the generator."""
-    plant, mu, speed = Plant([rig(tracking, friction=0.2)]), 0.2, 0.05
+    plant, mu, speed = plant_of([rig(tracking, friction=0.2)]), 0.2, 0.05
     start, push = pressed("cone", 0.7, 0.3, 1e-3)
     down = np.array(
         [-math.sin(ALPHA) * math.cos(0.3), -math.sin(ALPHA) * math.sin(0.3), math.cos(ALPHA)]
@@ -170,7 +170,7 @@ def test_sliding_down_the_cone_is_at_the_coulomb_limit(tracking: str) -> None:
 
 def test_below_the_limit_the_creep_is_as_stated() -> None:
     """mu |F| v/sqrt(v^2 + v_0^2), v_0 = 1e-4 m/s: a tenth of the limit is borne at v_0/sqrt(99)."""
-    plant = Plant([rig(friction=0.2)])
+    plant = plant_of([rig(friction=0.2)])
     start, push = pressed("socket", 0.0, 0.0, 1e-3)
     creep = 1e-4 / math.sqrt(99.0)
     plant.reset(start, np.array([[creep, 0.0, 0.0, 0.0, 0.0, 0.0]]))

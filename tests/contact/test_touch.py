@@ -14,7 +14,7 @@ import pytest
 from hiltestbed import Scenario, load_scenario, run
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.findings import remarks
-from hiltestbed.contact.resolution import error_bound, unconverged
+from hiltestbed.contact.resolution import converged, error_bound
 from hiltestbed.contact.touch import first_touch
 from hiltestbed.report.run import run_report
 from hiltestbed.scenario import scenario_from
@@ -88,12 +88,12 @@ def test_walls_that_meet_at_once_are_parallel_springs(tmp_path: Path, angle: flo
         ((0.01, 0.01), 2, both, np.array([cosine, cosine, 2.0 * sine]) / math.sqrt(2.0 * both)),
     ):
         s = scenario(tmp_path, angle, False, **{"approach.offset": list(offset)})
-        touch = first_touch(s)
+        touch = first_touch(s.impact)
         assert touch.contacts == number
         np.testing.assert_allclose(touch.row[:3], row, atol=1e-6)
         assert touch.stiffness == pytest.approx(size * K, rel=1e-6)
         assert touch.damping == pytest.approx(size * C, rel=1e-6)
-        assert acting_along_z(s)[0] == pytest.approx(4.0 * K * sine * sine, rel=1e-6)
+        assert acting_along_z(s.impact)[0] == pytest.approx(4.0 * K * sine * sine, rel=1e-6)
 
 
 @pytest.mark.parametrize("angle", [40.0, 30.0])
@@ -106,7 +106,7 @@ def test_a_probe_on_a_spring_is_in_series_and_its_rod_needs_the_physics_rate(
     sine = math.sin(math.radians(angle))
     k, c = 4.0 * K * sine * sine, 4.0 * C * sine * sine
     s = scenario(tmp_path, angle, True)
-    stiffness, damping = acting_along_z(s)
+    stiffness, damping = acting_along_z(s.impact)
     total = k + SPRING
     assert stiffness == pytest.approx(k * SPRING / total, rel=1e-6)
     assert damping == pytest.approx((c * SPRING**2 + DAMPER * k**2) / total**2, rel=1e-6)
@@ -114,7 +114,9 @@ def test_a_probe_on_a_spring_is_in_series_and_its_rod_needs_the_physics_rate(
     needed = 100.0 * fastest / math.pi
     assert needed <= s.physics_rate < 2.0 * needed
     assert scenario(tmp_path, angle, True, physics_rate=1000.0).physics_rate == 1000.0
-    assert error_bound(s) == pytest.approx(fastest / (4.0 * math.pi * s.physics_rate), rel=1e-6)
+    assert error_bound(s.impact, s.physics_rate) == pytest.approx(
+        fastest / (4.0 * math.pi * s.physics_rate), rel=1e-6
+    )
 
 
 def test_a_reference_that_half_the_step_changes_is_said(tmp_path: Path) -> None:
@@ -126,10 +128,10 @@ def test_a_reference_that_half_the_step_changes_is_said(tmp_path: Path) -> None:
     change = coarse.summary["cor_reference"] / fine.summary["cor_reference"] - 1.0
     assert abs(change) > 0.01
     assert coarse.summary["identification_normal"]["stiffness_true"] == pytest.approx(
-        acting_along_z(coarse.scenario)[0]
+        acting_along_z(coarse.scenario.impact)[0]
     )
-    assert unconverged(fine.scenario, 0.75, 0.7501) is None
-    assert unconverged(fine.scenario, None, 0.75) is not None
+    assert converged(0.75, 0.7501)
+    assert not converged(None, 0.75)
 
 
 @pytest.mark.parametrize("offset", [[0.0, 0.0], [0.01, 0.0], [0.01, 0.01]], ids=str)

@@ -13,7 +13,7 @@ from hiltestbed.build import runnable
 from hiltestbed.config.check import look_at
 from hiltestbed.contact.surfaces.surface import hollow
 from hiltestbed.errors import InputError
-from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.build import plant_of
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import simulate
 from tests.contact.test_any_tree import SCENARIO, cup
@@ -85,7 +85,7 @@ def test_a_convex_mesh_meets_a_box_at_its_surface(tmp_path: Path) -> None:
 
 def forced(scenario: Scenario, depth: float) -> float:
     """Force along z [N] with A ``depth`` [m] beyond P."""
-    plant = Plant([scenario])
+    plant = plant_of([scenario])
     plant.reset(np.array([[0.0, 0.0, depth, 0.0, 0.0, 0.0, 1.0]]), np.zeros((1, 6)))
     return float(plant.wrench_sub[0, -1, 2])
 

@@ -18,7 +18,7 @@ from hiltestbed.diagnosis.find import judge
 from hiltestbed.diagnosis.verdict import Verdict
 from hiltestbed.errors import InputError
 from hiltestbed.measured import load_dataset
-from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.build import plant_of
 from hiltestbed.scenario import Scenario, load_scenario, scenario_sha256
 from hiltestbed.simulation import simulate
 from tests.diagnosis.recorded import dataset_of
@@ -115,7 +115,7 @@ def test_a_ball_on_a_wall_of_the_mesh_is_pressed_along_its_normal(folder: Path) 
     """45 deg: at a lateral place of 60 mm the force is k x along the wall's normal. The plunger
     stands still at the first instant.
     """
-    plant = Plant(
+    plant = plant_of(
         [mine(folder, **{"mechanism.pairs.0.friction": 0.0, "mechanism.pairs.0.damping": 0.0})]
     )
     depth, r = 1e-3, 0.03
@@ -128,11 +128,34 @@ def test_a_ball_on_a_wall_of_the_mesh_is_pressed_along_its_normal(folder: Path) 
 
 def test_two_boxes_share_no_stiffness_with_the_number_of_their_points(folder: Path) -> None:
     """The bar on both stops, four points each: 2 x 1e5 N/m, as asked for."""
-    plant = Plant([mine(folder, **{"mechanism.pairs.1.damping": 0.0})])
+    plant = plant_of([mine(folder, **{"mechanism.pairs.1.damping": 0.0})])
     pose = np.array([[0.0, 0.0, 0.33 - 0.16 - 0.12 + 5e-4, 0.0, 0.0, 0.0, 1.0]])
     plant.reset(pose, np.zeros((1, 6)))
     bars = plant.contacts().met[0, 1:, 11]
     assert bars.sum() == pytest.approx(2.0 * 1e5 * 5e-4, rel=1e-3)
+
+
+def test_each_class_of_pairs_has_its_own_stiffness_without_friction_too(folder: Path) -> None:
+    """Two balls on a plane, 1 mm deep: 5e4 and 1e5 N/m."""
+    ball = (
+        '<geom name="{}" type="sphere" size="0.03" pos="{} 0 -0.03" contype="1" conaffinity="1"/>'
+    )
+    balls = ball.format("soft", 0.1) + ball.format("stiff", -0.1)
+    active = f'<mujoco><worldbody>{balls}<site name="A"/></worldbody></mujoco>'
+    plane = (
+        '<geom name="plane" type="plane" size="1 1 1" quat="0 1 0 0" contype="1" conaffinity="1"/>'
+    )
+    passive = f'<mujoco><worldbody>{plane}<site name="P"/></worldbody></mujoco>'
+    (folder / "parts" / "active.xml").write_text(active)
+    (folder / "parts" / "passive.xml").write_text(passive)
+    pairs = [
+        {"active": "soft", "passive": "plane", "stiffness": K},
+        {"active": "stiff", "passive": "plane", "stiffness": 2.0 * K},
+    ]
+    plant = plant_of([mine(folder, **{"mechanism.pairs": pairs, "mechanism.capture": []})])
+    plant.reset(np.array([[0.0, 0.0, 1e-3, 0.0, 0.0, 0.0, 1.0]]), np.zeros((1, 6)))
+    force = [0.0, 0.0, 3.0 * K * 1e-3, 0.0, 0.1 * K * 1e-3, 0.0]
+    np.testing.assert_allclose(plant.wrench_sub[0, -1], force, rtol=1e-3, atol=1e-3)
 
 
 def test_another_file_is_another_scenario(folder: Path, tmp_path: Path) -> None:

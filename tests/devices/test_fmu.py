@@ -230,7 +230,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
         "names": NAMES,
         "start": -scenario.approach.gap,
         "speed": scenario.approach.velocity[2],
-        "mass": effective_mass(scenario),
+        "mass": effective_mass(scenario.spacecraft),
     }
 
     def make(half: int = 0, ends: float = 1e9) -> Path:
@@ -390,7 +390,11 @@ def test_a_force_reaches_the_model_in_the_unit_that_it_declares(
             with CoSimulation(fmu, IN, ["twist.vz"]) as model:
                 before = model.outputs()[0]
                 after = model.step(np.array([0.0, 0.0, 1000.0, 0.0, 0.0, 0.0]), PERIOD)[0]
-            given = 1000.0 / FACTORS.get(kind, 1.0) / effective_mass(load_scenario(RIG, SHORT))
+            given = (
+                1000.0
+                / FACTORS.get(kind, 1.0)
+                / effective_mass(load_scenario(RIG, SHORT).spacecraft)
+            )
             assert after - before == pytest.approx(-given * PERIOD, rel=1e-12)
 
 

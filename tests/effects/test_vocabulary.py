@@ -198,7 +198,7 @@ def head_on() -> Scenario:
 def believed(head_on: Scenario) -> Callable[[str], Any]:
     """Numbers of a link as believed, by the link's name."""
     links: dict[str, Callable[[], Any]] = {
-        "platform": lambda: PlatformParameters.believed(head_on),
+        "platform": lambda: PlatformParameters(head_on.tick),
         "contact": lambda: ContactParameters.believed(head_on.mechanism.contact),
         "sensor": lambda: SensorParameters.believed(head_on.sensor),
         "compensation": InputParameters,

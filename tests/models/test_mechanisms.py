@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from hiltestbed.contact.active_ring import ActiveRing, RetractionLaw
 from hiltestbed.contact.surfaces.surface import TURNED
-from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.build import plant_of
 from tests.models.rig import Rig
 from tests.platform.rigs import scenario
 from tests.slow import slow
@@ -77,7 +77,9 @@ PRELOAD, SHIFT = 2e-4, 5e-5  # m: seated so deep, and moved by so little, that a
 def wrench(shift: np.ndarray) -> np.ndarray:
     """Wrench (6,) on P of balls that are PRELOAD deep and moved by ``shift`` (6,) [m, rad]."""
     contact = {"stiffness": K, "damping": 0.0, "friction": 0.0}
-    plant = Plant([scenario("ideal", mechanism={"kind": "kinematic_coupling", "contact": contact})])
+    plant = plant_of(
+        [scenario("ideal", mechanism={"kind": "kinematic_coupling", "contact": contact})]
+    )
     place = shift[:3] + np.array([0.0, 0.0, PRELOAD])
     plant.reset(
         np.concatenate([place, Rotation.from_rotvec(shift[3:]).as_quat()])[None], np.zeros((1, 6))

@@ -34,7 +34,7 @@ class TwoBodies:
         self.contact = scenario.mechanism.contact
 
     def start(self, scenario: Scenario) -> np.ndarray:
-        approach = approach_state(scenario)
+        approach = approach_state(scenario.approach)
         state = np.zeros((2, 13))
         turn = self.ports[TARGET].inv()
         state[TARGET, 3:7] = turn.as_quat()

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from hiltestbed.numerical_model.bodies import approach_states
 from hiltestbed.platform.drive import RATE, STATE, drive_over
 from hiltestbed.platform.effects.drive import PlatformDrive
 from hiltestbed.platform.parameters import PlatformParameters
@@ -201,8 +202,10 @@ def test_an_integrator_that_stops_at_each_switch_finds_the_same(drive: np.ndarra
 
 
 def _driven(s: Scenario, commands: np.ndarray, drive: PlatformDrive) -> np.ndarray:
-    parameters = PlatformParameters.believed(s).with_effects([drive])
-    return replay_platform([s], [parameters], commands[None], np.zeros(1, dtype=int))[0]
+    parameters = PlatformParameters(s.tick).with_effects([drive])
+    start = approach_states([s.approach])
+    run = np.zeros(1, dtype=int)
+    return replay_platform([parameters], start, [s.substeps], commands[None], run)[0]
 
 
 def test_an_axis_that_is_never_told_to_move_sags_under_a_load_beyond_its_friction() -> None:

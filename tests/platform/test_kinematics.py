@@ -10,6 +10,7 @@ import pytest
 
 from hiltestbed.config.models import load, models_folder
 from hiltestbed.errors import InputError
+from hiltestbed.platform.build import plant_of
 from hiltestbed.platform.facilities.facility import MOUNT, MOUNT_HOME, compiled
 from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.facilities.limbs import (
@@ -22,7 +23,6 @@ from hiltestbed.platform.facilities.limbs import (
 from hiltestbed.platform.facilities.prs3 import upper_kinematics
 from hiltestbed.platform.facilities.pss33 import shipped_limbs
 from hiltestbed.platform.facilities.upper_drives import upper_model
-from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.shipped.pss33 import Pss33
 from tests.platform.halls import facility, poses
 from tests.platform.rigs import scenario
@@ -133,7 +133,9 @@ def test_a_start_that_the_sliders_do_not_reach_is_refused(
 ) -> None:
     s = scenario()
     platform = Pss33.model_validate({"kind": "pss33", **settings})
-    plant = Plant([s.model_copy(update={"rig": s.rig.model_copy(update={"platform": platform})})])
+    plant = plant_of(
+        [s.model_copy(update={"rig": s.rig.model_copy(update={"platform": platform})})]
+    )
     start = HOME[None].copy()
     start[0, 2] = 0.2
     start[0, 0] = 2.0 if "workspace" in settings else 0.0

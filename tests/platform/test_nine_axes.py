@@ -14,6 +14,7 @@ from hiltestbed.build import runnable_from
 from hiltestbed.compiled.state import arrays_of
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
+from hiltestbed.platform.build import plant_of
 from hiltestbed.platform.facilities.motion import GRAVITY
 from hiltestbed.platform.facilities.prs3 import BLEND, DOCKING
 from hiltestbed.platform.nine_axes import NineAxes
@@ -74,7 +75,7 @@ def test_both_platforms_follow_and_the_sensor_loses_weight_and_inertia_of_its_pa
     """120 kg shaken by 1 m/s^2 and 0.3 rad/s^2 (inertia 116 N, and 31 N across by the tilt): less
     than 0.05 % of the weight is left.
     """
-    plant = Plant([nine_axes()])
+    plant = plant_of([nine_axes()])
     result = shaken(plant)
     assert_follows(result, 1e-5)
     wrench = result["wrench"].reshape(-1, 6)
@@ -93,7 +94,7 @@ def test_both_platforms_follow_and_the_sensor_loses_weight_and_inertia_of_its_pa
 
 
 def test_both_platforms_without_drives_realise_the_relative_pose() -> None:
-    assert_follows(shaken(Plant([nine_axes("ideal", "ideal")])), 1e-12)
+    assert_follows(shaken(plant_of([nine_axes("ideal", "ideal")])), 1e-12)
 
 
 def assert_follows(result: dict[str, Array], most: float) -> None:
@@ -108,7 +109,7 @@ def test_coming_home_and_leaving_again_leaves_no_step() -> None:
     """The gap swings from 0.05 m, where the upper platform is clamped, to 0.45 m: the reached pose
     has no jump beyond 2 um.
     """
-    result = shaken(Plant([nine_axes()]), 3.5, middle=0.25)
+    result = shaken(plant_of([nine_axes()]), 3.5, middle=0.25)
     assert np.abs(result["error"]).max() < 1e-5
     assert np.abs(np.diff(result["error"], axis=0)).max() < 2e-6
     force = np.linalg.norm(result["wrench"].reshape(-1, 6)[:, :3], axis=1)
@@ -127,7 +128,7 @@ def test_docking_is_what_it_is_without_an_upper_platform_bit_for_bit() -> None:
 
 
 def test_the_state_between_two_ticks_is_all_of_it() -> None:
-    first, second = Plant([nine_axes()]), Plant([nine_axes()])
+    first, second = plant_of([nine_axes()]), plant_of([nine_axes()])
     shaken(first, 0.3)
     shaken(second, 0.1)
     for name, array in arrays_of(second).items():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.errors import InputError
+from hiltestbed.platform.build import plant_of
 from hiltestbed.platform.facilities.pss33 import MOVED_PER_DRIVE
 from hiltestbed.platform.plant import Plant
 from tests.platform.rigs import pose, scenario
@@ -36,8 +37,8 @@ def driven(plant: Plant, i: int, ticks: int = 60) -> list[np.ndarray]:
 @pytest.mark.parametrize(("tracking", "friction"), [("ideal", 0.1), ("servo", 0.0)])
 def test_a_run_alone_is_the_run_in_a_batch_bit_for_bit(tracking: str, friction: float) -> None:
     s = scenario(tracking, friction=friction)
-    among = np.array(driven(Plant([s] * 16, nthread=2), 0))
-    alone = np.array(driven(Plant([s]), 0))
+    among = np.array(driven(plant_of([s] * 16, nthread=2), 0))
+    alone = np.array(driven(plant_of([s]), 0))
     assert np.array_equal(alone, among)
     assert among[-1][:3].any()
 
@@ -51,7 +52,7 @@ def test_a_force_told_late_is_the_force_told_at_once(friction: float, substeps: 
     s = scenario(friction=friction, physics_rate=2000.0 * substeps)
 
     def rows(late: list[bool], i: int) -> np.ndarray:
-        return np.array(driven(Plant([s] * 2, late=np.array(late)), i, 200))
+        return np.array(driven(plant_of([s] * 2, late=np.array(late)), i, 200))
 
     told, at_once = rows([True, True], 0), rows([False, False], 0)
     assert np.array_equal(told, rows([True, False], 0))
@@ -71,7 +72,7 @@ def test_the_forces_belong_to_their_instants(tracking: str, substeps: int) -> No
     as within them.
     """
     s = scenario(tracking, physics_rate=2000.0 * substeps, damping=0.0)
-    plant, v = Plant([s]), 0.02
+    plant, v = plant_of([s]), 0.02
     twist = np.array([[0.0, 0.0, v, 0.0, 0.0, 0.0]])
     plant.reset(pose(z=-1e-3), twist)
     forces, depth = [], []
@@ -89,7 +90,7 @@ def test_in_free_motion_the_platform_is_where_it_was_told_to_be() -> None:
     feedback next to nothing.
     """
     s = scenario()
-    plant, h, w = Plant([s]), 1.0 / s.rate, 2.0 * np.pi
+    plant, h, w = plant_of([s]), 1.0 / s.rate, 2.0 * np.pi
     amplitude = np.array([0.01, 0.008, 0.006])
     worst = 0.0
     plant.reset(pose(z=-0.05), np.array([[*(amplitude * w), 0.0, 0.0, 0.0]]))
@@ -110,7 +111,7 @@ def test_a_run_that_diverges_is_named_and_leaves_the_others_alone() -> None:
     N/m for 600 kg.
     """
     wild, calm = scenario(stiffness=1e16, damping=0.0), scenario()
-    plant, alone = Plant([calm, wild, calm]), Plant([calm])
+    plant, alone = plant_of([calm, wild, calm]), plant_of([calm])
     twist = np.tile([0.0, 0.0, 0.02, 0.0, 0.0, 0.0], (3, 1))
     plant.reset(pose(z=-1e-4, n=3), twist)
     alone.reset(pose(z=-1e-4), twist[:1])
@@ -127,7 +128,7 @@ def test_a_run_that_diverges_is_named_and_leaves_the_others_alone() -> None:
 
 def test_runs_of_two_structures_are_refused() -> None:
     with pytest.raises(InputError, match="one structure"):
-        Plant([scenario(), scenario("ideal")])
+        plant_of([scenario(), scenario("ideal")])
 
 
 def test_what_the_servo_takes_from_a_rebound_is_its_drives_damping() -> None:
@@ -138,7 +139,7 @@ def test_what_the_servo_takes_from_a_rebound_is_its_drives_damping() -> None:
     servo costs less than a third of it.
     """
     s = scenario(damping=0.0)
-    plant, h, mu = Plant([s]), s.tick, 400.0
+    plant, h, mu = plant_of([s]), s.tick, 400.0
     position, twist, accel = (
         pose(z=-2e-3),
         np.array([[0.0, 0.0, 0.03, 0.0, 0.0, 0.0]]),
@@ -167,7 +168,7 @@ def test_what_moves_on_a_side_rubs_the_same_on_whatever_carries_it(name: str, ki
     """
     found = []
     for platform in ({"kind": "pss33", "tracking": "ideal"}, {"kind": kind, "tracking": "servo"}):
-        model = Plant([shipped(name, {"rig.platform": platform})]).model
+        model = plant_of([shipped(name, {"rig.platform": platform})]).model
         moved = [b for b in range(model.nbody) if model.body_jntnum[b]]
         parts = [b for b in moved if model.body(b).name.startswith("active_")]
         dofs = np.flatnonzero(np.isin(model.dof_bodyid, parts))

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.signal import TransferFunction, lsim, lti
 
+from hiltestbed.platform.build import plant_of
 from hiltestbed.platform.drive import STATE
 from hiltestbed.platform.facilities.response import ResponsePath
 from hiltestbed.platform.kinds import ResponseSettings
-from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.response import MEMORY, follow, second_order
 from hiltestbed.scenario import scenario_from
 from tests.platform.rigs import scenario
@@ -24,7 +24,7 @@ def test_a_delay_leaves_the_platform_behind_its_command(tracking: str) -> None:
     base = scenario(tracking).model_dump(mode="json")
     effect = {"kind": "platform.delay", "delay": 3e-3}
     s = scenario_from(base | {"effects": [effect], "approach": base["approach"] | {"gap": 2e-3}})
-    plant, v = Plant([s]), 0.03
+    plant, v = plant_of([s]), 0.03
     twist = np.array([[0.0, 0.0, v, 0.0, 0.0, 0.0]])
     plant.reset(np.array([[0.0, 0.0, -2e-3, 0.0, 0.0, 0.0, 1.0]]), twist)
     for k in range(100):

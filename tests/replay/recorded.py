@@ -11,12 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.contact.parameters import believed_contacts, contact_rows
+from hiltestbed.contact.parameters import mechanism_parameters
+from hiltestbed.contact.settings import Mechanism
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects import Effect
 from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array, pose_step
-from hiltestbed.platform.plant import alike
+from hiltestbed.numerical_model.bodies import approach_states
+from hiltestbed.platform.build import lockstep_key, runs_of
+from hiltestbed.platform.facilities.facility import Runs
 from hiltestbed.replay import Felt, replay_wrench
 from hiltestbed.replay.wrench import Lane
 from hiltestbed.scenario import Scenario, load_scenario
@@ -96,7 +99,7 @@ def record(scenarios: Sequence[Scenario]) -> Recorded:
     data: dict[str, list[Array]] = {}
     groups: dict[Hashable, list[int]] = {}
     for i, s in enumerate(scenarios):
-        groups.setdefault(alike(s), []).append(i)
+        groups.setdefault(lockstep_key(s), []).append(i)
     for numbers in groups.values():
         batch = simulate([scenarios[i] for i in numbers], trace=True)
         assert not batch.trouble, batch.trouble
@@ -105,6 +108,12 @@ def record(scenarios: Sequence[Scenario]) -> Recorded:
             for k, i in enumerate(numbers):
                 rows[i] = array[:, k]
     return Recorded(list(scenarios), {name: np.stack(rows) for name, rows in data.items()})
+
+
+def carried(scenarios: Sequence[Scenario]) -> tuple[list[Mechanism], Array, Runs]:
+    """What the sides of scenarios are carried with, along whatever path."""
+    start = approach_states(s.approach for s in scenarios)
+    return [s.mechanism for s in scenarios], start, runs_of(scenarios)
 
 
 def felt(recorded: Recorded) -> Felt:
@@ -117,17 +126,22 @@ def felt(recorded: Recorded) -> Felt:
         pose_step(recorded["pose_act"][i, 0], recorded["twist_act"][i, 0], -first.tick, before[i])
     driven = first.rig.platform.tracking == "servo"
     rates = recorded["twist_act"] if driven else None
-    return replace(Felt.along(recorded.scenarios, recorded["pose_act"], rates), before=before)
+    along = Felt.along(*carried(recorded.scenarios), recorded["pose_act"], rates)
+    return replace(along, before=before)
+
+
+def laws(s: Scenario, effects: Sequence[Effect]) -> Array:
+    """(C + 1, PARAMETERS) of the candidates and the latch of a scenario's mechanism."""
+    rules = sides_of(s.mechanism).rules
+    return mechanism_parameters([s.mechanism], [effects], rules).laws[0]
 
 
 def lane(s: Scenario, run: int, effects: Sequence[Effect] | None = None) -> Lane:
     """Contact, sensor and record of a scenario, with its own effects or with others."""
     effects = s.effects if effects is None else effects
-    contacts = [c.with_effects(effects) for c in believed_contacts(s.mechanism)]
-    contact = contact_rows(contacts, sides_of(s.mechanism).rules, s.mechanism.captured)
     return Lane(
         run,
-        contact,
+        laws(s, effects),
         SensorParameters.believed(s.sensor).with_effects(effects),
         log_parameters(effects),
     )

@@ -42,7 +42,7 @@ def error(s: Scenario) -> float:
     it needs.
     """
     recorded = record([s])
-    needed = needs(s) - {"wrench_meas"}
+    needed = needs(s.compensation, s.mechanism) - {"wrench_meas"}
     records = {
         group: recorded[group] for name in needed for group in (name, name.replace("pose", "twist"))
     }

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.effects import EFFECTS
+from hiltestbed.numerical_model.bodies import approach_states
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
 from hiltestbed.replay import Departing, replay_model
 from tests.effects.examples import example
@@ -20,11 +21,10 @@ def replayed(recorded: Recorded, effects: bool = True) -> np.ndarray:
     numbers = stack(
         [DynamicsParameters.of(s.effects if effects else ()) for s in recorded.scenarios]
     )
-    return np.asarray(
-        replay_model(
-            Departing(recorded.scenarios, numbers), recorded["wrench_comp"], recorded.lanes
-        )
-    )
+    scenarios = recorded.scenarios
+    start = approach_states(s.approach for s in scenarios)
+    models = Departing([s.spacecraft for s in scenarios], start, scenarios[0].tick, numbers)
+    return np.asarray(replay_model(models, recorded["wrench_comp"], recorded.lanes))
 
 
 @pytest.mark.parametrize("force", ["phase_lead", "resynchronised"])

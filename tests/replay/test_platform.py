@@ -7,6 +7,7 @@ import pytest
 
 from hiltestbed.effects import EFFECTS
 from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import approach_state, approach_states
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.replay import follows_exactly, replay_platform
@@ -34,7 +35,8 @@ PLATFORM = [kind for kind, cls in EFFECTS.items() if cls.link == "platform"]
 
 def place_of(s: Scenario, p: PlatformParameters, pose: Array, late: Array | None = None) -> Array:
     """(N, 3) of one run; late: (1,) [s] by which its commands are obeyed late."""
-    return np.asarray(replay_platform([s], [p], pose, np.zeros(1, int), late)[0])
+    start = approach_states([s.approach])
+    return np.asarray(replay_platform([p], start, [s.substeps], pose, np.zeros(1, int), late)[0])
 
 
 def test_every_effect_of_the_platform_acts_in_the_replay_as_in_the_loop() -> None:
@@ -42,8 +44,13 @@ def test_every_effect_of_the_platform_acts_in_the_replay_as_in_the_loop() -> Non
         scenario("bumper with friction", changes={"effects": [example(k)]}) for k in PLATFORM
     ]
     recorded = record(scenarios)
-    parameters = [PlatformParameters.believed(s).with_effects(s.effects) for s in scenarios]
-    reached = replay_platform(scenarios, parameters, recorded["pose_cmd"], recorded.lanes)
+    parameters = [PlatformParameters(s.tick).with_effects(s.effects) for s in scenarios]
+    start, substeps = (
+        approach_states(s.approach for s in scenarios),
+        [s.substeps for s in scenarios],
+    )
+    commands = recorded["pose_cmd"]
+    reached = replay_platform(parameters, start, substeps, commands, recorded.lanes)
     assert np.abs(reached - recorded["pose_act"][..., :3]).max() < ROUND_OFF
     lagging = np.abs(recorded["pose_act"][:, 1:, :3] - recorded["pose_cmd"][:, :-1, :3]).max(
         axis=(1, 2)
@@ -54,10 +61,8 @@ def test_every_effect_of_the_platform_acts_in_the_replay_as_in_the_loop() -> Non
 def test_without_an_effect_the_pose_is_the_command_a_tick_later() -> None:
     recorded = record([scenario("bumper with friction")])
     s = recorded.scenarios[0]
-    assert follows_exactly(s)
-    reached = replay_platform(
-        [s], [PlatformParameters.believed(s)], recorded["pose_cmd"], recorded.lanes
-    )
+    assert follows_exactly(s.rig, s.compensation)
+    reached = place_of(s, PlatformParameters(s.tick), recorded["pose_cmd"])[None]
     assert np.abs(reached[0, 1:] - recorded["pose_cmd"][0, :-1, :3]).max() < 1e-16
     assert np.abs(reached[0] - recorded["pose_act"][0, :, :3]).max() < 1e-16
 
@@ -97,7 +102,7 @@ def test_a_platform_with_stiction_stands_still_exactly_as_long_as_in_the_loop(
         t = (1 + np.arange(ticks)) * s.tick
         start = np.array([*s.approach.offset, -s.approach.gap])
         pose[0, :, :3] = start + (sizes[..., None] * (1.0 - np.cos(w[..., None] * t))).sum(axis=1).T
-        response = PlatformResponse([s], [p], p.instants)
+        response = PlatformResponse([p], approach_state(s.approach)[None], p.instants)
         response.begin(0, start, np.zeros(3))
         still = s.model_copy(
             update={"approach": s.approach.model_copy(update={"velocity": (0.0, 0.0, 0.0)})}
@@ -155,13 +160,9 @@ def test_of_two_responses_in_a_row_the_second_sees_the_first_bend_within_a_tick(
     ]
     s = scenario("bumper with friction", changes={"effects": several})
     recorded = record([s])
-    reached = replay_platform(
-        [s],
-        [PlatformParameters.believed(s).with_effects(s.effects)],
-        recorded["pose_cmd"],
-        recorded.lanes,
-    )
-    assert np.abs(reached - recorded["pose_act"][..., :3]).max() < 3e-7
+    parameters = PlatformParameters(s.tick).with_effects(s.effects)
+    reached = place_of(s, parameters, recorded["pose_cmd"])
+    assert np.abs(reached - recorded["pose_act"][0, :, :3]).max() < 3e-7
 
 
 def approaching(ticks: int = 300) -> tuple[Scenario, Array]:

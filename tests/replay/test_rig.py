@@ -73,7 +73,7 @@ def test_on_a_mount_it_bears_what_the_contact_exerts() -> None:
         )
         return float(np.abs(path - recorded["pose_act"][0]).max())
 
-    assert missed(borne(s, felt)) < 7e-7
+    assert missed(borne(s.mechanism, s.tick, felt)) < 7e-7
     assert missed(felt) > 1e-5
 
 
@@ -82,14 +82,14 @@ def test_what_a_mount_bears_is_what_moves_it() -> None:
     sensor.
     """
     s = scenario("latched on a mount", "servo")
-    (dynamics,) = [d for d in [MountDynamics.of([s])] if d is not None]
+    (dynamics,) = [d for d in [MountDynamics.of([s.mechanism])] if d is not None]
     mass, k, c = dynamics.body[0], dynamics.stiffness[0, 2], dynamics.damping[0, 2]
     t, w = s.tick * np.arange(4000), 2.0 * np.pi * 5.0
     answer = (k + 1j * w * c) / (k - mass * w**2 + 1j * w * c)
     reading = np.zeros((len(t), 6))
     reading[:, 2] = 100.0 * (answer * np.exp(1j * w * t)).imag
     late = slice(2000, 3900)  # the start-up of its motion is forgotten; the last rows have no slope
-    assert borne(s, reading)[late, 2] == pytest.approx(
+    assert borne(s.mechanism, s.tick, reading)[late, 2] == pytest.approx(
         100.0 * np.sin(w * t)[late], abs=1e-3 * 100.0
     )
 

@@ -12,14 +12,12 @@ import numpy as np
 import pytest
 
 from hiltestbed.effects import EFFECTS
-from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
-from hiltestbed.platform.plant import Plant
 from hiltestbed.replay import Simulated, replay_rig
 from hiltestbed.replay.simulated import step_between
 from hiltestbed.scenario import Scenario, load_scenario
 from tests.effects.examples import example
-from tests.replay.recorded import QUIET, SCENARIOS, Recorded, record
+from tests.replay.recorded import QUIET, SCENARIOS, Recorded, carried, laws, record
 
 EXACT = 1e-9  # of the peak: the same solver on the same path
 # of the peak: joints that rub creep by how their carrier yields; found are 6e-7, 2.5e-5 and 1.4e-5
@@ -58,7 +56,7 @@ def driven(name: str) -> Recorded:
 def simulated(recorded: Recorded) -> Simulated:
     servo = recorded.scenarios[0].rig.platform.tracking == "servo"
     return Simulated(
-        recorded.scenarios,
+        *carried(recorded.scenarios),
         recorded["pose_act"],
         np.ascontiguousarray(recorded["twist_act"]) if servo else None,
     )
@@ -68,13 +66,14 @@ def simulated(recorded: Recorded) -> Simulated:
 def test_the_wrench_is_that_of_the_loop_under_whatever_effect(name: str) -> None:
     """The believed mechanism is handed the effect; the record had it in the loop."""
     recorded = record([docking(name, (example(kind),)) for kind in EFFECTS_TRIED])
-    effects: list[tuple[int, list[Effect]]] = [
-        (i, [EFFECTS[kind](**example(kind))]) for i, kind in enumerate(EFFECTS_TRIED)
+    wanted = [
+        (i, laws(recorded.scenarios[i], [EFFECTS[kind](**example(kind))]))
+        for i, kind in enumerate(EFFECTS_TRIED)
     ]
     truth = recorded["wrench_true"]
     peak = np.abs(truth).max(axis=(1, 2))
     assert (peak > 20.0).all()
-    for i, wrench in enumerate(simulated(recorded).exerted(effects)):
+    for i, wrench in enumerate(simulated(recorded).exerted(wanted)):
         np.testing.assert_allclose(wrench[:, -1], truth[i], atol=EXACT * peak[i])
 
 
@@ -105,7 +104,7 @@ def test_free_flight_is_gone_through_once(monkeypatch: pytest.MonkeyPatch) -> No
     )
     recorded = record([one, one.model_copy(update={"approach": slower})])
     resumed, whole = simulated(recorded), simulated(recorded)
-    monkeypatch.setattr(whole, "_flight", lambda kind: None)
+    monkeypatch.setattr(whole, "_flight", lambda rubs: None)
     touch = EFFECTS["contact.touch_offset"]
     for effects in (
         [
@@ -115,14 +114,15 @@ def test_free_flight_is_gone_through_once(monkeypatch: pytest.MonkeyPatch) -> No
         [touch.hypothesis({}, offset=-0.002)],
         [touch.hypothesis({}, offset=-0.02)],
     ):
+        wanted = [(1, laws(one, effects)), (0, laws(one, []))]
         monkeypatch.setattr("hiltestbed.replay.simulated.threads", lambda: 2)
-        once = resumed.exerted([(1, effects), (0, [])])
+        once = resumed.exerted(wanted)
         monkeypatch.setattr("hiltestbed.replay.simulated.threads", lambda: 1)
-        np.testing.assert_array_equal(once, whole.exerted([(1, effects), (0, [])]))
+        np.testing.assert_array_equal(once, whole.exerted(wanted))
     flights = list(resumed._flights.values())
     assert all(f is not None for f in flights)
-    plant = Plant([docking(name, ({"kind": "contact.touch_offset", "offset": -0.02},))])
-    assert not any(f.holds(plant) for f in flights if f is not None)
+    early = laws(one, [touch.hypothesis({}, offset=-0.02)])
+    assert not any(f.holds(early) for f in flights if f is not None)
 
 
 def test_drives_bear_what_touches_and_what_moves_on_them() -> None:
@@ -191,21 +191,19 @@ def test_boxes_that_collide_at_several_points_push_with_the_stiffness_of_their_p
     poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (1, len(t), 1))
     poses[0, :, 2] = depth
     rate = np.diff(depth, prepend=depth[:1]) / s.tick
-    (wrench,) = Simulated([s], poses).exerted(
-        [(0, [EFFECTS["contact.stiffness"].hypothesis({}, factor=1.3)])]
-    )
+    along = Simulated(*carried([s]), poses)
+    stiffer = EFFECTS["contact.stiffness"].hypothesis({}, factor=1.3)
+    (wrench,) = along.exerted([(0, laws(s, [stiffer]))])
     law = 2.0 * (1.3e5 * depth + 400.0 * rate)
     # the first row has the rate of the approach
     np.testing.assert_allclose(wrench[1:, -1, 2], law[1:], atol=1e-4 * 2.6e5 * depth.max())
-    np.testing.assert_allclose(Simulated([s], poses).believed(0).depth, depth, atol=1e-9)
+    np.testing.assert_allclose(along.believed(0).depth, depth, atol=1e-9)
 
 
 def test_lanes_of_one_batch_give_what_each_gives_alone() -> None:
     recorded = driven("head on a sprung rod")
-    both: list[tuple[int, list[Effect]]] = [
-        (0, []),
-        (0, [EFFECTS["contact.stiffness"].hypothesis({}, factor=0.7)]),
-    ]
+    softer = EFFECTS["contact.stiffness"].hypothesis({}, factor=0.7)
+    both = [(0, laws(recorded.scenarios[0], effects)) for effects in ([], [softer])]
     together: list[Array] = simulated(recorded).exerted(both)
     for wrench, lane in zip(together, both, strict=True):
         np.testing.assert_array_equal(wrench, simulated(recorded).exerted([lane])[0])

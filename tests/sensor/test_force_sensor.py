@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from hiltestbed.platform.build import facility_of, structure
+from hiltestbed.contact.composition import structure_of
+from hiltestbed.platform.build import facility_of, plant_of
 from hiltestbed.platform.facilities.composed import facility_spec
-from hiltestbed.platform.plant import Plant
 from tests.platform.rigs import pose, scenario
 
 GRAVITY = 9.81
@@ -17,7 +17,7 @@ GRAVITY = 9.81
 def sensor_reading(added: float, x: float) -> np.ndarray:
     """Readings (6,) with ``added`` [kg] hung on the passive side at ``x`` [m] from the axis."""
     s = scenario()
-    spec = facility_spec(facility_of(s), structure(s), timestep=1e-3)
+    spec = facility_spec(facility_of(s), structure_of(s.mechanism, s.effects), timestep=1e-3)
     weight = spec.body("passive_mechanism").add_body(name="weight", pos=[x, 0.0, 0.1])
     weight.explicitinertial = True
     weight.mass = max(added, 1e-9)
@@ -43,7 +43,7 @@ def test_pushing_in_reads_positive_and_the_tare_leaves_nothing_without_contact(
     tracking: str,
 ) -> None:
     s = scenario(tracking)
-    plant, still = Plant([s]), np.zeros((1, 6))
+    plant, still = plant_of([s]), np.zeros((1, 6))
     plant.reset(pose(z=-0.01), still)
     plant.advance(pose(z=-0.01), still, still)
     np.testing.assert_allclose(plant.wrench_sub, 0.0, atol=1e-9)

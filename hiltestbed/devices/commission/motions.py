@@ -111,7 +111,7 @@ def _press(tick: float, depth: float) -> Array:
 
 def _shaken(scenario: Scenario, force: float) -> TestMotion:
     """Oscillate one axis after the other, as far as ``force`` or its torque allows."""
-    tick, truth = scenario.tick, axis_truth(scenario)
+    tick, truth = scenario.tick, axis_truth(scenario.impact)
     duration = PRESS_PERIODS / PRESS_FREQUENCY
     t = _instants(duration, tick)
     wave = _window(t / duration) * np.sin(2.0 * np.pi * PRESS_FREQUENCY * t)

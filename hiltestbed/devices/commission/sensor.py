@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from hiltestbed.build import runnable_from
 from hiltestbed.devices.commission.platform import SIGNIFICANT, spread_of
 from hiltestbed.frames import Array, rotation_matrix
-from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.build import plant_of
 from hiltestbed.scenario import Scenario, resolved
 from hiltestbed.signals import AXES
 
@@ -54,7 +54,7 @@ class Expected:
         data: dict[str, Any] = resolved(scenario) | {"effects": []}
         data["rig"]["platform"]["tracking"] = data["rig"]["upper"]["tracking"] = "ideal"
         believed = runnable_from(data)
-        plant = Plant([believed])
+        plant = plant_of([believed])
         still = np.zeros((1, 6))
         plant.reset(poses[None, 0], still)
         self._substeps, self._tick = believed.substeps, believed.tick

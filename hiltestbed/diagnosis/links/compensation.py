@@ -63,11 +63,13 @@ class CompensationLink(ModelLink):
         within a tick, so that the slope is the rate.
         """
         scenarios = [r.scenario for r in self.runs]
-        reads, linear = any(map(reads_rates, scenarios)), all(map(moves_linearly, scenarios))
+        reads = any(reads_rates(s.compensation, s.mechanism) for s in scenarios)
+        linear = all(moves_linearly(s.rig) for s in scenarios)
         if "twist_act" in self._sources or linear or not reads:
             return None
         pairs = zip(scenarios, self._sources["pose_act"], strict=True)
-        records = {**self._sources, "twist_act": [central_rates(s, poses) for s, poses in pairs]}
+        rates = [central_rates(s.approach, s.tick, poses) for s, poses in pairs]
+        records = {**self._sources, "twist_act": rates}
         return CompensationLink(self.runs, self.wrenches, records).with_timing(self.timing)
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:

@@ -22,6 +22,7 @@ from hiltestbed.diagnosis.links.base import (
 )
 from hiltestbed.diagnosis.settings import LEVER_ARM
 from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import approach_states
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
 from hiltestbed.replay import Departing, replay_model
 
@@ -109,7 +110,9 @@ class DynamicsLink(ModelLink):
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         run = np.array([i for i, _ in lanes])
         departures = stack([DynamicsParameters.of(effects) for _, effects in lanes])
-        departing = Departing([self.runs[i].scenario for i in run], departures)
+        scenarios = [self.runs[i].scenario for i in run]
+        start = approach_states(s.approach for s in scenarios)
+        departing = Departing([s.spacecraft for s in scenarios], start, self.tick, departures)
         places = [self.timing_with(effects) for _, effects in lanes]
         wrenches, driven = self._wrenches, run
         if any(place.before for place in places):

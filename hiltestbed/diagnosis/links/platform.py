@@ -18,7 +18,7 @@ from hiltestbed.diagnosis.links.base import (
     perturbed,
 )
 from hiltestbed.frames import Array
-from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.numerical_model.bodies import approach_state, approach_states
 from hiltestbed.platform.effects.response import PlatformDelay
 from hiltestbed.platform.effects.tracking import PlatformFriction
 from hiltestbed.platform.parameters import PlatformParameters
@@ -41,7 +41,7 @@ class PlatformLink(ModelLink):
         """commands: (N, 7) of each run. deflection: (N, 6) of the believed drives [m, rad]."""
         self.runs, self.commands, self.deflection = runs, commands, deflection
         self._padded = padded(commands)
-        starts = [approach_state(r.scenario)[None, :7] for r in runs]
+        starts = [approach_state(r.scenario.approach)[None, :7] for r in runs]
         self._attitude = [
             flat_pose(np.concatenate([s, c[:-1]]))[:, 3:]
             for s, c in zip(starts, commands, strict=True)
@@ -64,10 +64,12 @@ class PlatformLink(ModelLink):
         """(L, N, 3) positions [m] that are reached in each lane, without the deflection."""
         run = np.array([i for i, _ in lanes])
         scenarios = [self.runs[i].scenario for i in run]
-        believed = [PlatformParameters.believed(s) for s in scenarios]
+        believed = [PlatformParameters(s.tick) for s in scenarios]
         parameters = [p.with_effects(own) for p, (_, own) in zip(believed, lanes, strict=True)]
         obeyed = np.array([self.timing_with(effects).obeyed for _, effects in lanes])
-        return replay_platform(scenarios, parameters, self._padded, run, obeyed)
+        start = approach_states(s.approach for s in scenarios)
+        substeps = [s.substeps for s in scenarios]
+        return replay_platform(parameters, start, substeps, self._padded, run, obeyed)
 
     def _with_errors(self, i: int) -> PlatformLink:
         commands = perturbed(self.commands[i], self.rounding[i])

@@ -17,8 +17,9 @@ from hiltestbed.contact.parameters import (
     ContactParameters,
     believed_contacts,
     contact_rows,
+    latch_limits,
 )
-from hiltestbed.contact.phases import closes, latch_limits
+from hiltestbed.contact.phases import closes
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.links.base import (
     Effects,
@@ -36,6 +37,8 @@ from hiltestbed.diagnosis.low_pass import LowPass
 from hiltestbed.diagnosis.settings import BLOCK_ROWS, UNKNOWN
 from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import approach_states
+from hiltestbed.platform.build import runs_of
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.replay import Felt, Simulated, replay_platform, replay_wrench
 from hiltestbed.replay.compensation import central_rates
@@ -137,7 +140,13 @@ class WrenchLink(ModelLink):
         scenarios = [r.scenario for r in runs]
         self._felt: Felt | Simulated
         make = Felt.along if sides_of(scenarios[0].mechanism).rigid else Simulated
-        self._felt = make(scenarios, padded(paths), None if rates is None else padded(rates))
+        self._felt = make(
+            [s.mechanism for s in scenarios],
+            approach_states(s.approach for s in scenarios),
+            runs_of(scenarios),
+            padded(paths),
+            None if rates is None else padded(rates),
+        )
 
     def interpreted(self, **changed: Any) -> WrenchLink:
         """The same link with other parts of its interpretation."""
@@ -297,14 +306,15 @@ class WrenchLink(ModelLink):
     @staticmethod
     def _rates_on(runs: Sequence[LinkRun], paths: Sequence[Array]) -> list[Array]:
         """(N, 6) twists by central differences."""
-        return [central_rates(r.scenario, p) for r, p in zip(runs, paths, strict=True)]
+        pairs = zip((r.scenario for r in runs), paths, strict=True)
+        return [central_rates(s.approach, s.tick, path) for s, path in pairs]
 
     def _closing_later(self, rates: Sequence[Array]) -> list[Array] | None:
         """The rates with which each latch that waits closes a row later; None: none does."""
         out, waits = [], False
         for run, path, rate in zip(self.runs, self.paths, rates, strict=True):
             mechanism = run.scenario.mechanism
-            limits = latch_limits([run.scenario])[0]
+            limits = latch_limits([run.scenario.mechanism.latch])[0]
             held = rate.copy()
             out.append(held)
             if mechanism.latch is None or mechanism.captured:
@@ -338,11 +348,12 @@ class WrenchLink(ModelLink):
         """Predictions on the paths of a platform with effects, with the commanded attitude."""
         runs = [self.runs[i] for i, _ in lanes]
         scenarios = [r.scenario for r in runs]
-        believed = [PlatformParameters.believed(s) for s in scenarios]
+        believed = [PlatformParameters(s.tick) for s in scenarios]
         pairs = zip(believed, lanes, strict=True)
         parameters = [p.with_effects(effects) for p, (_, effects) in pairs]
-        which = np.array([i for i, _ in lanes])
-        places = replay_platform(scenarios, parameters, padded(self.commands or ()), which)
+        which, substeps = np.array([i for i, _ in lanes]), [s.substeps for s in scenarios]
+        start = approach_states(s.approach for s in scenarios)
+        places = replay_platform(parameters, start, substeps, padded(self.commands or ()), which)
         paths = []
         for place, run, i in zip(places, runs, which, strict=True):
             at = place[: run.rows] + self.deflection[i][: run.rows, :3]
@@ -380,9 +391,8 @@ class WrenchLink(ModelLink):
             )
         if "sensor" in links:
             sensor = sensor.copy().with_effects(effects)
-        acting = [e for e in effects if e.link == "contact"]
         log = log_parameters(effects) if "log" in links else _NO_LOG_EFFECT
-        return FeltLane(i, rows, sensor, log, self.timing_with(effects).delay, acting)
+        return FeltLane(i, rows, sensor, log, self.timing_with(effects).delay)
 
     def penetration(self, i: int) -> Array:
         """(N,) [m] of run i by geometry: the deepest contact; if latched, along z."""

@@ -81,7 +81,12 @@ class Watch:
     """Limit monitoring of `n` runs of a facility."""
 
     def __init__(
-        self, axes: Sequence[Axis], home: Array, n: int, tick: float, watched: Array | None = None
+        self,
+        axes: Sequence[Axis],
+        home: Array,
+        n: int,
+        tick: float,
+        watched: NDArray[np.bool_] | None = None,
     ) -> None:
         """``watched``: (n, 5) which quantities of a run are monitored; all by default."""
         self._axes, joints = tuple(axes), len(axes)

@@ -81,7 +81,6 @@ class Stand:
         self.drives = drives
         bind = self.batch.bind
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
-        self.warmstart = bind("qacc_warmstart")
         self._applied = bind("xfrc_applied").reshape(n, -1, 6)
         site = self.model.site(tool)
         self._body = int(site.bodyid[0])

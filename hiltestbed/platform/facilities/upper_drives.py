@@ -11,7 +11,7 @@ upper platform is clamped.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -32,11 +32,6 @@ from hiltestbed.platform.facilities.motion import GRAVITY, carry
 from hiltestbed.platform.facilities.prs3 import Upper, motion, place, upper_kinematics
 from hiltestbed.platform.facilities.pss33 import SliderDrives
 from hiltestbed.platform.shipped.pss33 import Pss33
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 MOVED_PER_DRIVE = 240.0  # [kg] a third of platform, payload and links, carriage and armature
 # [Hz] of the position loop, critically damped: longer limbs than the lower platform's
@@ -146,15 +141,17 @@ class UpperDrives(SliderDrives):
         left: (n, 2) its largest force [N] and torque [N m] so far.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], nthread: int) -> None:
-        first, n = scenarios[0], len(scenarios)
-        m = upper_model(first.mechanism, first.tick / first.substeps)
+    def __init__(
+        self, mechanism: Mechanism, tick: float, substeps: int, n: int, nthread: int
+    ) -> None:
+        """``mechanism``: carries its passive side. ``tick`` [s] of the loop, in ``substeps``."""
+        m = upper_model(mechanism, tick / substeps)
         settings = Pss33.model_validate({"kind": "pss33", "bandwidth": BANDWIDTH})
-        runs = Runs(first.tick, first.substeps, [settings] * n, np.ones(n, dtype=bool))
+        runs = Runs(tick, substeps, [settings] * n, np.ones(n, dtype=bool))
         super().__init__(m, upper_kinematics(m), runs, MOVED_PER_DRIVE)
         self.batch, self.upper = Batch(m, n, nthread), Upper.load()
         self.payload = carried_load(m, m.qpos0)
-        bind, steps = self.batch.bind, first.substeps
+        bind, steps = self.batch.bind, substeps
         self._qpos, self._qvel, self._ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self._warmstart, self._reading = bind("qacc_warmstart"), bind("sensordata")
         self._port = PlannedPort(np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, steps + 1, 6)))
