@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario.monitoring import Monitoring
     from hiltestbed.scenario.spacecraft import Approach, Spacecraft
     from hiltestbed.sensor.settings import Sensor
 
@@ -19,20 +18,12 @@ class ScenarioLike(Protocol):
     Sections whose classes start blocks are not typed: their modules would import each other.
     """
 
-    def model_copy(self, *, update: Mapping[str, Any] | None = None) -> Self: ...
-    def model_dump_json(self, *, include: Any = None, round_trip: bool = False) -> str: ...
-    @property
-    def seed(self) -> int: ...
-    @property
-    def duration(self) -> float: ...
     @property
     def rate(self) -> float: ...
     @property
     def physics_rate(self) -> float: ...
     @property
     def tick(self) -> float: ...
-    @property
-    def ticks(self) -> int: ...
     @property
     def substeps(self) -> int: ...
     @property
@@ -53,8 +44,6 @@ class ScenarioLike(Protocol):
     def compensation(self) -> Any: ...
     @property
     def identification(self) -> Any: ...
-    @property
-    def monitoring(self) -> Monitoring | None: ...
     @property
     def safety(self) -> Any: ...
     @property
