@@ -138,8 +138,8 @@ def rig_parameters(scenarios: Sequence[Scenario]) -> RigParameters:
     watched = None
     if not first.rig.platform.physical and first.rig.platform.states_limits:
         # a run's safety section may switch off three of them
-        off = [(s.safety.stroke, s.safety.speed, s.safety.acceleration) for s in scenarios]
-        watched = np.array([[*(limit is not None for limit in row), True, True] for row in off])
+        limits = [(s.safety.stroke, s.safety.speed, s.safety.acceleration) for s in scenarios]
+        watched = np.array([[*(limit is not None for limit in row), True, True] for row in limits])
     return RigParameters(
         facility_of(first),
         structure,
