@@ -188,6 +188,7 @@ def explain(
     if beside is not None:
         so_far.causes_of(beside)
     ways = (
+        so_far.noise_instead,
         so_far.another_cause,
         so_far.another_interpretation,
         so_far.another_noise,
@@ -265,6 +266,7 @@ class _SoFar:
                 same = there.link is self.model.link
                 known = self._likelihood.through(there) if same else there.likelihood()
                 self._through(there, found.best, known)
+                self._new = False
         return grown
 
     def causes_of(self, other: Explanation) -> None:
@@ -293,8 +295,12 @@ class _SoFar:
             return False
         return self._led_to(interpreted(self.model, self.found.best), self.found.best)
 
+    def noise_instead(self) -> bool:
+        """Noise of the log in place of causes that smooth it."""
+        return bool(self.found.best.causes) and self.another_noise()
+
     def another_noise(self) -> bool:
-        """Noise of the log as well."""
+        """Noise of the log."""
         return self._led_to(*with_other_noise(self.model, self.found))
 
     def other_candidates(self) -> bool:
@@ -354,29 +360,33 @@ def with_one_cause(
 
 
 def with_other_noise(model: LinkModel, found: Searched) -> tuple[LinkModel, PosteriorFit]:
-    """The model with noise of the log as well, and the hypothesis to go on from: what the best one
-    leaves may be such noise, or all of what it explains; both themselves where neither is so.
+    """The model with noise of the log, and the hypothesis to go on from: of what leaves noise
+    alone, that with the most evidence, the noise of the log being what the best hypothesis leaves,
+    or what nothing does; both themselves where none does.
     """
     best = found.best
-    if not model.leaves_noise(best.left):
-        return with_noise_of_the_log(model, best), best
-    if best.causes and model.link.name == "dynamics":
-        noisy = with_noise_of_the_log(model, found.null)
-        alone = noisy.likelihood().start()
-        if noisy is not model and noisy.deviance(alone) < model.deviance(best):
-            return noisy, found.null
-    return model, best
+    leaves_noise = model.leaves_noise(best.left)
+    if leaves_noise and not best.causes:
+        return model, best
+    ways = [(model, best)] if leaves_noise else []
+    for base in (found.null, best) if best.causes else (best,):
+        noisy = with_noise_of_the_log(model, base)
+        if noisy is not model:
+            start = [base.of.theta]
+            fit = noisy.likelihood(found.likelihood.choices).fit(base.causes, start)
+            ways.append((noisy, fit))
+    return max(ways, key=lambda way: way[0].log_evidence(way[1]), default=(model, best))
 
 
-def with_noise_of_the_log(model: LinkModel, best: PosteriorFit) -> LinkModel:
+def with_noise_of_the_log(model: LinkModel, base: PosteriorFit) -> LinkModel:
     """The model with the noise that a hypothesis leaves; itself where what is left is no noise."""
-    if isinstance(model.link, WrenchLink) or model.link.computed:
+    if isinstance(model.link, WrenchLink):  # free flight has shown the noise of the force
         return model
-    shown = model.link.predict([(i, model.effects(best.of)) for i in model.members])
+    shown = model.link.predict([(i, model.effects(base.of)) for i in model.members])
     left = [(i, model.link.runs[i].measured - p) for i, p in zip(model.members, shown, strict=True)]
     noisier = model.link.noisier(left)
-    other = model.coloured(best.left) if noisier is model.link else model.through(noisier)
-    return other if other.leaves_noise(other.residuals(best.of)) else model
+    other = model.coloured(base.left) if noisier is model.link else model.through(noisier)
+    return other if other.leaves_noise(other.residuals(base.of)) else model
 
 
 def interpreted(model: LinkModel, found: PosteriorFit) -> LinkModel:

@@ -56,9 +56,6 @@ MOST_OLD = 0.9  # share of the old twist in a new pose; all of it is explicit Eu
 # share of what is left of a computed channel that follows its output, from which it departs
 FOLLOWING = 0.1
 COLOUR_ORDER = 16  # of the filter that makes noise white
-# times the noise by third differences, up to which a residual outside contact may be noise of
-# another colour: a neighbour correlation of 0.9 and as much white noise have 1.4
-COLOURED_LEVEL = 2.0
 OUTSIDE, INSIDE = "outside", "in"
 NOTHING = Hypothesis((), np.zeros(0), np.zeros(0))
 # the same of a sample in a fit, of those that exceed as many rms: one normal one in 5e8
@@ -231,18 +228,20 @@ class LinkModel(Model):
 
     def coloured(self, left: Sequence[Array]) -> LinkModel:
         """The same with noise of the colour that residuals have outside contact, channel by channel
-        and run by run; itself where they are more than noise of another colour.
+        and run by run.
         """
-        colour = [np.zeros((len(self.link.channels), COLOUR_ORDER + 1)) for _ in self.link.runs]
-        for c in colour:
-            c[:, 0] = 1.0
+        plain = np.eye(1, COLOUR_ORDER + 1)[0]
+        colour = [np.tile(plain, (len(self.link.channels), 1)) for _ in self.link.runs]
         for x, (n, c, inside) in zip(left, self.groups, strict=False):
             if inside or len(x) <= COLOUR_ORDER or not x.any():
                 continue
-            if float(x @ x) / len(x) > COLOURED_LEVEL**2:
-                return self
             lags = np.array([float(x[k:] @ x[: len(x) - k]) for k in range(COLOUR_ORDER + 1)])
             colour[self.members[n]][c] = whitening_filter(lags)
+        if self._colour is not None:  # of residuals that a filter has been applied to
+            colour = [
+                np.array([np.convolve(f, g) for f, g in zip(*both, strict=True)])
+                for both in zip(self._colour, colour, strict=True)
+            ]
         return self._with(colour=colour)
 
     def likelihood(self, choices: int = 1) -> Likelihood:
@@ -519,12 +518,16 @@ class LinkModel(Model):
         lengths = np.concatenate([e[1::2] - e[::2] for e in edges])
         return MOST_MODEL_ERROR * max(1.0, MODEL_STEPS / max(1, lengths.min(initial=MODEL_STEPS)))
 
-    def deviance(self, found: PosteriorFit) -> float:
-        """-2 log of the likelihood of a fit, with the deviations of the noise."""
+    def log_evidence(self, found: PosteriorFit) -> float:
+        """Log of the evidence of a fit, with the deviations of the noise and the price of its
+        filters, so that models with different noise can be compared.
+        """
         weights = [self.link.weights(i) for i in self.members]
         pairs = zip(self.members, weights, strict=True)
         used = [self.weight[i] if w is None else w for i, w in pairs]
-        return found.cost - 2.0 * sum(float(np.sum(np.log(w[w > 0.0]))) for w in used)
+        filters = 0 if self._colour is None else sum(np.size(f[:, 1:]) for f in self._colour)
+        price = 0.5 * filters * math.log(max(sum(map(len, self.rows)), 1))
+        return found.evidence + sum(float(np.sum(np.log(w[w > 0.0]))) for w in used) - price
 
     def measured(self) -> list[Array]:
         return [

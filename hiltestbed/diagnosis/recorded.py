@@ -162,6 +162,7 @@ def compensation_link(layout: DatasetLayout, rows: Sequence[int]) -> Compensatio
     for (r, n), run in zip(pairs, first, strict=True):
         record = r.record
         own = np.hypot(record.rounding("wrench_comp"), interpolation_error(record, "wrench_comp"))
+        own = np.hypot(own, _quantised(record, "wrench_comp"))
         passed = link.passed(input_variance(record, "wrench_meas", noise, most)[:n])
         sigma = np.sqrt(run.sigma**2 + own[:n] ** 2 + passed)
         if link.linear:
@@ -225,7 +226,7 @@ def input_variance(record: Record, group: str, noise: Array, most: Array) -> Arr
     Errors of one stretch without rows are alike, and add up; on a line between rows, so does the
     noise of these.
     """
-    out = record.rounding(group) ** 2
+    out = record.rounding(group) ** 2 + _quantised(record, group) ** 2
     if group in record.bends:
         stride = record.rate / record.sample_rate
         bend = interpolation_error(record, group)
@@ -235,7 +236,6 @@ def input_variance(record: Record, group: str, noise: Array, most: Array) -> Arr
     for j, name in enumerate(GROUPS[group].columns):
         if name in record.absent:
             continue
-        out[:, j] += (STEP_SIGMA * record.steps.get(name, 0.0)) ** 2
         known = np.flatnonzero(record.measured(name))
         lost = record.lost(group) & ~record.measured(name)
         if not lost.any() or not len(known):
@@ -249,6 +249,11 @@ def input_variance(record: Record, group: str, noise: Array, most: Array) -> Arr
         error = np.where(bridged, np.abs(after - before), most[j])
         out[lost, j] += length * error**2 + LOST_NOISE * noise[j] ** 2
     return out
+
+
+def _quantised(record: Record, group: str) -> Array:
+    """(parts,) 1 sigma of the error of each column of a group by the steps of its converter."""
+    return STEP_SIGMA * np.array([record.steps.get(c, 0.0) for c in GROUPS[group].columns])
 
 
 def _computed(run: MeasuredRun, values: Array, level: float, rows: int) -> LinkRun:
