@@ -222,9 +222,8 @@ class LinkModel(Model):
             self.link.doubt(i, effects) if i in self.members else None
             for i in range(len(self.link.runs))
         ]
-        if not any(d is not None for d in doubt):
-            return self
-        return self._with(doubt=doubt)
+        open_ = doubt if any(d is not None for d in doubt) else None
+        return self if open_ is None and self.doubt is None else self._with(doubt=open_)
 
     def coloured(self, left: Sequence[Array]) -> LinkModel:
         """The same with noise of the colour that residuals have outside contact, channel by channel
@@ -378,6 +377,7 @@ class LinkModel(Model):
         """
         run, noise = self.link.runs[i], noise or self._noise(i)
         left = run.measured - shown
+        left = np.sign(left) * np.maximum(np.abs(left) - 0.5 * run.steps, 0.0)
         return finite(self._whitened(i, left, noise, smoothing, run.heavy))
 
     def _whitened(
@@ -525,8 +525,10 @@ class LinkModel(Model):
         weights = [self.link.weights(i) for i in self.members]
         pairs = zip(self.members, weights, strict=True)
         used = [self.weight[i] if w is None else w for i, w in pairs]
-        filters = 0 if self._colour is None else sum(np.size(f[:, 1:]) for f in self._colour)
-        price = 0.5 * filters * math.log(max(sum(map(len, self.rows)), 1))
+        own, known = self._colour, self.link.colour()  # of which the latter is no estimate
+        each = len(self.link.channels) * (0 if known is None else len(known) - 1)
+        numbers = 0 if own is None else sum(np.size(f[:, 1:]) - each for f in own)
+        price = 0.5 * numbers * math.log(max(sum(map(len, self.rows)), 1))
         return found.evidence + sum(float(np.sum(np.log(w[w > 0.0]))) for w in used) - price
 
     def measured(self) -> list[Array]:

@@ -162,7 +162,6 @@ def compensation_link(layout: DatasetLayout, rows: Sequence[int]) -> Compensatio
     for (r, n), run in zip(pairs, first, strict=True):
         record = r.record
         own = np.hypot(record.rounding("wrench_comp"), interpolation_error(record, "wrench_comp"))
-        own = np.hypot(own, _quantised(record, "wrench_comp"))
         passed = link.passed(input_variance(record, "wrench_meas", noise, most)[:n])
         sigma = np.sqrt(run.sigma**2 + own[:n] ** 2 + passed)
         if link.linear:
@@ -171,7 +170,7 @@ def compensation_link(layout: DatasetLayout, rows: Sequence[int]) -> Compensatio
         else:
             sigma[record.unknown("wrench_meas", LINK_MEMORY)[:n]] = np.inf
         sigma[:, [name in record.absent for name in GROUPS["wrench_meas"].columns]] = np.inf
-        runs.append(replace(run, sigma=sigma))
+        runs.append(replace(run, sigma=sigma, steps=_steps(record, "wrench_comp")))
     if layout.logged:
         runs = [_filtered(run, layout.logged) for run in runs]
     link = CompensationLink(runs, wrenches, records)
@@ -226,7 +225,7 @@ def input_variance(record: Record, group: str, noise: Array, most: Array) -> Arr
     Errors of one stretch without rows are alike, and add up; on a line between rows, so does the
     noise of these.
     """
-    out = record.rounding(group) ** 2 + _quantised(record, group) ** 2
+    out = record.rounding(group) ** 2 + (STEP_SIGMA * _steps(record, group)) ** 2
     if group in record.bends:
         stride = record.rate / record.sample_rate
         bend = interpolation_error(record, group)
@@ -251,9 +250,9 @@ def input_variance(record: Record, group: str, noise: Array, most: Array) -> Arr
     return out
 
 
-def _quantised(record: Record, group: str) -> Array:
-    """(parts,) 1 sigma of the error of each column of a group by the steps of its converter."""
-    return STEP_SIGMA * np.array([record.steps.get(c, 0.0) for c in GROUPS[group].columns])
+def _steps(record: Record, group: str) -> Array:
+    """(parts,) steps in which the columns of a group are written; 0 where they are not."""
+    return np.array([record.steps.get(c, 0.0) for c in GROUPS[group].columns])
 
 
 def _computed(run: MeasuredRun, values: Array, level: float, rows: int) -> LinkRun:
