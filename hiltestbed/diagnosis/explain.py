@@ -84,6 +84,19 @@ class Explanation:
     def timing(self) -> Timing:
         return self.link.timing_with([self.model.timing(self.fit.of)])
 
+    def stamp_error(self) -> float:
+        """[rows] standard deviation of the shift between output and input, of the posterior."""
+        likelihood, fit = self.likelihood, self.fit
+        names = [n.name for n in likelihood.model.nuisances]
+        if not names:
+            return 0.0
+        x = np.concatenate([fit.of.theta, fit.of.nuisances])
+        normal, _ = likelihood.normal(fit.left, likelihood.slopes(fit.causes, x, fit.left))
+        scale = likelihood.scale_of(fit.causes, x) / self.link.tick
+        shifts = np.array([0.0] * len(fit.of.theta) + [float(n != "old") for n in names])
+        weights = shifts * scale
+        return math.sqrt(max(float(weights @ np.linalg.pinv(normal, hermitian=True) @ weights), 0))
+
     def residual(self) -> Residual:
         """The residual of the link in units of the noise alone, with its timing as found; as
         believed where nothing explains it, since a shift then stands in for what has no name.
@@ -188,6 +201,7 @@ def explain(
     if beside is not None:
         so_far.causes_of(beside)
     ways = (
+        so_far.noise_instead,
         so_far.another_cause,
         so_far.another_interpretation,
         so_far.another_noise,
@@ -256,16 +270,23 @@ class _SoFar:
 
     def _grown(self, found: Searched) -> bool:
         """Whether a search has led to another hypothesis: then it is taken, with the interpretation
-        that suits it.
+        that suits it, unless what it leaves open of the prediction makes the record less likely.
         """
-        grown, self.found = found.best.keys != self.found.best.keys, found
-        if grown:
-            there = interpreted(self.model.under(self.model.effects(found.best.of)), found.best)
-            if there is not self.model:
-                same = there.link is self.model.link
-                known = self._likelihood.through(there) if same else there.likelihood()
-                self._through(there, found.best, known)
-        return grown
+        if found.best.keys == self.found.best.keys:
+            self.found = found
+            return False
+        there = interpreted(self.model.under(self.model.effects(found.best.of)), found.best)
+        if there is self.model:
+            self.found = found
+            return True
+        same = there.link is self.model.link
+        known = self._likelihood.through(there) if same else there.likelihood()
+        fit = known.fit(found.best.causes, [found.best.of.theta], found.best.of.nuisances)
+        if there.log_evidence(fit) <= self.model.log_evidence(self.found.best):
+            return False
+        self._through(there, found.best, known)
+        self._new = False
+        return True
 
     def causes_of(self, other: Explanation) -> None:
         """Go on from the causes that another link shares with this one, if they explain more than
@@ -293,8 +314,12 @@ class _SoFar:
             return False
         return self._led_to(interpreted(self.model, self.found.best), self.found.best)
 
+    def noise_instead(self) -> bool:
+        """Noise of the log in place of causes that smooth it."""
+        return bool(self.found.best.causes) and self.another_noise()
+
     def another_noise(self) -> bool:
-        """Noise of the log as well."""
+        """Noise of the log."""
         return self._led_to(*with_other_noise(self.model, self.found))
 
     def other_candidates(self) -> bool:
@@ -354,29 +379,31 @@ def with_one_cause(
 
 
 def with_other_noise(model: LinkModel, found: Searched) -> tuple[LinkModel, PosteriorFit]:
-    """The model with noise of the log as well, and the hypothesis to go on from: what the best one
-    leaves may be such noise, or all of what it explains; both themselves where neither is so.
+    """The model with noise of the log, and the hypothesis to go on from: of what leaves noise
+    alone, that with the most evidence, the noise of the log being what the best hypothesis leaves,
+    or what nothing does; both themselves where none does.
     """
     best = found.best
-    if not model.leaves_noise(best.left):
-        return with_noise_of_the_log(model, best), best
-    if best.causes and model.link.name == "dynamics":
-        noisy = with_noise_of_the_log(model, found.null)
-        alone = noisy.likelihood().start()
-        if noisy is not model and noisy.deviance(alone) < model.deviance(best):
-            return noisy, found.null
-    return model, best
+    ways = [(model, best)] if model.leaves_noise(best.left) else []
+    for base in (found.null, best) if best.causes else (best,):
+        for noisy in with_noise_of_the_log(model, base):
+            likelihood = noisy.likelihood(found.likelihood.choices)
+            ways.append((noisy, likelihood.fit(base.causes, [base.of.theta])))
+    return max(ways, key=lambda way: way[0].log_evidence(way[1]), default=(model, best))
 
 
-def with_noise_of_the_log(model: LinkModel, best: PosteriorFit) -> LinkModel:
-    """The model with the noise that a hypothesis leaves; itself where what is left is no noise."""
-    if isinstance(model.link, WrenchLink) or model.link.computed:
-        return model
-    shown = model.link.predict([(i, model.effects(best.of)) for i in model.members])
+def with_noise_of_the_log(model: LinkModel, base: PosteriorFit) -> list[LinkModel]:
+    """The models with the noise that a hypothesis leaves, of the output and of the input; none
+    where what is left is no noise.
+    """
+    if isinstance(model.link, WrenchLink):  # free flight has shown the noise of the force
+        return []
+    shown = model.link.predict([(i, model.effects(base.of)) for i in model.members])
     left = [(i, model.link.runs[i].measured - p) for i, p in zip(model.members, shown, strict=True)]
-    noisier = model.link.noisier(left)
-    other = model.coloured(best.left) if noisier is model.link else model.through(noisier)
-    return other if other.leaves_noise(other.residuals(best.of)) else model
+    noisier, out = model.link.noisier(left), [model.coloured(base.left)]
+    if noisier is not model.link:
+        out.append(model.through(noisier))
+    return [m for m in out if m.leaves_noise(m.residuals(base.of))]
 
 
 def interpreted(model: LinkModel, found: PosteriorFit) -> LinkModel:

@@ -13,6 +13,7 @@ from hiltestbed.diagnosis.lacking import too_little
 from hiltestbed.diagnosis.layout import lay_out, with_noise_beside
 from hiltestbed.diagnosis.link_model import LinkModel
 from hiltestbed.diagnosis.links import ModelLink, PlatformLink, WrenchLink
+from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.path_noise import Path
 from hiltestbed.diagnosis.paths import (
     best_path,
@@ -29,14 +30,17 @@ from hiltestbed.diagnosis.recorded import (
     dynamics_link,
     platform_link,
 )
+from hiltestbed.diagnosis.settings import MIN_POSE_NOISE
 from hiltestbed.diagnosis.stiction import sticking
 from hiltestbed.diagnosis.timing import clocks_of, judged_again
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.inference.search import Progress
 from hiltestbed.measured import MeasuredDataset
+from hiltestbed.measured.noise import finest_noise
 from hiltestbed.process.progress import labelled
 from hiltestbed.sensor.effects import SensorJitter
+from hiltestbed.signals import GROUPS
 
 JITTERS = (0.3, 1.0, 3.0)  # [rows] from which a jitter is sought
 CLOCKS = ("sensor.delay", "log.skew")
@@ -89,6 +93,7 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
         model = LinkModel(dynamics_link(layout, layout.rows))
         found["dynamics"] = explain(model, candidates_of(scales, ("dynamics",)), told("dynamics"))
         whole["dynamics"] = dynamics_link(layout, layout.whole)
+        layout = with_computed_commands(dataset, layout, found["dynamics"])
     if "platform" in judged:
         link = platform_link(layout, layout.rows)
         scales, link = with_stiction(layout, link)
@@ -132,6 +137,28 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
     order = [name for name in LINK_NAMES if name in found]
     timed = {name: link.with_timing(found[name].timing()) for name, link in whole.items()}
     return Findings(layout, {n: found[n] for n in order}, missing, timed)
+
+
+def with_computed_commands(
+    dataset: MeasuredDataset, layout: DatasetLayout, numerical_model: Explanation
+) -> DatasetLayout:
+    """The layout with the poses that the explained numerical model computed in place of a noisy
+    record of them: what is on record of a computed pose errs by what its log adds.
+    """
+    link, noisy = numerical_model.link, False
+    for run in layout.runs:
+        levels = [finest_noise(x) for x in run.record.filled("pose_cmd")[:, :3].T]
+        noisy |= max(levels) > MIN_POSE_NOISE
+    absent = any(n in r.record.absent for r in layout.runs for n in GROUPS["pose_cmd"].columns)
+    if not noisy or absent or not numerical_model.adequate or link.weights(0) is not None:
+        return layout
+    whole = dynamics_link(layout, layout.whole).with_timing(numerical_model.timing())
+    shown = whole.shown_in_all(numerical_model.effects())
+    runs = [
+        replace(r, record=r.record.with_group("pose_cmd", poses_of(flat)))
+        for r, flat in zip(layout.runs, shown, strict=True)
+    ]
+    return lay_out(replace(dataset, runs=tuple(runs)))
 
 
 def with_stiction(layout: DatasetLayout, link: PlatformLink) -> tuple[Scales, PlatformLink]:

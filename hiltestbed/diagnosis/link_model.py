@@ -56,9 +56,6 @@ MOST_OLD = 0.9  # share of the old twist in a new pose; all of it is explicit Eu
 # share of what is left of a computed channel that follows its output, from which it departs
 FOLLOWING = 0.1
 COLOUR_ORDER = 16  # of the filter that makes noise white
-# times the noise by third differences, up to which a residual outside contact may be noise of
-# another colour: a neighbour correlation of 0.9 and as much white noise have 1.4
-COLOURED_LEVEL = 2.0
 OUTSIDE, INSIDE = "outside", "in"
 NOTHING = Hypothesis((), np.zeros(0), np.zeros(0))
 # the same of a sample in a fit, of those that exceed as many rms: one normal one in 5e8
@@ -225,24 +222,25 @@ class LinkModel(Model):
             self.link.doubt(i, effects) if i in self.members else None
             for i in range(len(self.link.runs))
         ]
-        if not any(d is not None for d in doubt):
-            return self
-        return self._with(doubt=doubt)
+        open_ = doubt if any(d is not None for d in doubt) else None
+        return self if open_ is None and self.doubt is None else self._with(doubt=open_)
 
     def coloured(self, left: Sequence[Array]) -> LinkModel:
         """The same with noise of the colour that residuals have outside contact, channel by channel
-        and run by run; itself where they are more than noise of another colour.
+        and run by run.
         """
-        colour = [np.zeros((len(self.link.channels), COLOUR_ORDER + 1)) for _ in self.link.runs]
-        for c in colour:
-            c[:, 0] = 1.0
+        plain = np.eye(1, COLOUR_ORDER + 1)[0]
+        colour = [np.tile(plain, (len(self.link.channels), 1)) for _ in self.link.runs]
         for x, (n, c, inside) in zip(left, self.groups, strict=False):
             if inside or len(x) <= COLOUR_ORDER or not x.any():
                 continue
-            if float(x @ x) / len(x) > COLOURED_LEVEL**2:
-                return self
             lags = np.array([float(x[k:] @ x[: len(x) - k]) for k in range(COLOUR_ORDER + 1)])
             colour[self.members[n]][c] = whitening_filter(lags)
+        if self._colour is not None:  # of residuals that a filter has been applied to
+            colour = [
+                np.array([np.convolve(f, g) for f, g in zip(*both, strict=True)])
+                for both in zip(self._colour, colour, strict=True)
+            ]
         return self._with(colour=colour)
 
     def likelihood(self, choices: int = 1) -> Likelihood:
@@ -379,6 +377,7 @@ class LinkModel(Model):
         """
         run, noise = self.link.runs[i], noise or self._noise(i)
         left = run.measured - shown
+        left = np.sign(left) * np.maximum(np.abs(left) - 0.5 * run.steps, 0.0)
         return finite(self._whitened(i, left, noise, smoothing, run.heavy))
 
     def _whitened(
@@ -519,12 +518,18 @@ class LinkModel(Model):
         lengths = np.concatenate([e[1::2] - e[::2] for e in edges])
         return MOST_MODEL_ERROR * max(1.0, MODEL_STEPS / max(1, lengths.min(initial=MODEL_STEPS)))
 
-    def deviance(self, found: PosteriorFit) -> float:
-        """-2 log of the likelihood of a fit, with the deviations of the noise."""
+    def log_evidence(self, found: PosteriorFit) -> float:
+        """Log of the evidence of a fit, with the deviations of the noise and the price of its
+        filters, so that models with different noise can be compared.
+        """
         weights = [self.link.weights(i) for i in self.members]
         pairs = zip(self.members, weights, strict=True)
         used = [self.weight[i] if w is None else w for i, w in pairs]
-        return found.cost - 2.0 * sum(float(np.sum(np.log(w[w > 0.0]))) for w in used)
+        own, known = self._colour, self.link.colour()  # of which the latter is no estimate
+        each = len(self.link.channels) * (0 if known is None else len(known) - 1)
+        numbers = 0 if own is None else sum(np.size(f[:, 1:]) - each for f in own)
+        price = 0.5 * numbers * math.log(max(sum(map(len, self.rows)), 1))
+        return found.evidence + sum(float(np.sum(np.log(w[w > 0.0]))) for w in used) - price
 
     def measured(self) -> list[Array]:
         return [

@@ -171,7 +171,7 @@ def compensation_link(layout: DatasetLayout, rows: Sequence[int]) -> Compensatio
         else:
             sigma[record.unknown("wrench_meas", LINK_MEMORY)[:n]] = np.inf
         sigma[:, [name in record.absent for name in GROUPS["wrench_meas"].columns]] = np.inf
-        runs.append(replace(run, sigma=sigma))
+        runs.append(replace(run, sigma=sigma, steps=_steps(record, "wrench_comp")))
     if layout.logged:
         runs = [_filtered(run, layout.logged) for run in runs]
     link = CompensationLink(runs, wrenches, records)
@@ -226,7 +226,7 @@ def input_variance(record: Record, group: str, noise: Array, most: Array) -> Arr
     Errors of one stretch without rows are alike, and add up; on a line between rows, so does the
     noise of these.
     """
-    out = record.rounding(group) ** 2
+    out = record.rounding(group) ** 2 + (STEP_SIGMA * _steps(record, group)) ** 2
     if group in record.bends:
         stride = record.rate / record.sample_rate
         bend = interpolation_error(record, group)
@@ -236,7 +236,6 @@ def input_variance(record: Record, group: str, noise: Array, most: Array) -> Arr
     for j, name in enumerate(GROUPS[group].columns):
         if name in record.absent:
             continue
-        out[:, j] += (STEP_SIGMA * record.steps.get(name, 0.0)) ** 2
         known = np.flatnonzero(record.measured(name))
         lost = record.lost(group) & ~record.measured(name)
         if not lost.any() or not len(known):
@@ -250,6 +249,11 @@ def input_variance(record: Record, group: str, noise: Array, most: Array) -> Arr
         error = np.where(bridged, np.abs(after - before), most[j])
         out[lost, j] += length * error**2 + LOST_NOISE * noise[j] ** 2
     return out
+
+
+def _steps(record: Record, group: str) -> Array:
+    """(parts,) steps in which the columns of a group are written; 0 where they are not."""
+    return np.array([record.steps.get(c, 0.0) for c in GROUPS[group].columns])
 
 
 def _computed(run: MeasuredRun, values: Array, level: float, rows: int) -> LinkRun:

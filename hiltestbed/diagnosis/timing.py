@@ -53,8 +53,9 @@ def clocks_of(name: str, explanations: Mapping[str, Explanation]) -> tuple[float
     """[rows] mean and standard deviation of the shift of a link, by what the others show.
 
     Stamps cancel around the loop: where all others are explained without a delay of their own, the
-    shift is minus the sum of theirs, but for the instants at which the facility reads and obeys. A
-    facility is as exact in one place as in another: shifts scatter as those of the others do.
+    shift is minus the sum of theirs, as exactly as these are known, but for the instants at which
+    the facility reads and obeys. A facility is as exact in one place as in another: shifts scatter
+    as those of the others do.
     """
     others = [e for n, e in explanations.items() if n != name and not delayed(e)]
     if not others:
@@ -64,7 +65,8 @@ def clocks_of(name: str, explanations: Mapping[str, Explanation]) -> tuple[float
         return 0.0, min(seen, SHIFT_SIGMA)
     instants = min(seen, math.sqrt(2.0) * INSTANT_SIGMA)
     mean = -sum(map(_stamp_shift_rows, others))
-    return mean * (abs(mean) > TIME_ERROR), instants
+    sigma = math.hypot(instants, *(e.stamp_error() for e in others))
+    return mean * (abs(mean) > TIME_ERROR), min(sigma, SHIFT_SIGMA)
 
 
 def delayed(e: Explanation) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +93,18 @@ class Record:
         """``(ticks,)``: where a column was measured."""
         group, part = place(name)
         return self.valid[group][:, part]
+
+    def with_group(self, group: str, values: Array) -> Record:
+        """The same with ``(ticks, parts)`` values of a group that are known exactly."""
+        own = GROUPS[group].columns
+        return replace(
+            self,
+            data=self.data | {group: values},
+            valid=self.valid | {group: np.ones(values.shape, dtype=bool)},
+            steps={n: v for n, v in self.steps.items() if n not in own},
+            digits={n: v for n, v in self.digits.items() if n not in own},
+            bends={n: v for n, v in self.bends.items() if n != group},
+        )
 
     def rounding(self, group: str) -> Array:
         """``(ticks, parts)`` 1 sigma of the rounding error of samples written with few significant

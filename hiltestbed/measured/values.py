@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 from hiltestbed.config.dataset import Channel
 from hiltestbed.frames import Array
 from hiltestbed.measured.columns import Columns
-from hiltestbed.measured.record import stretches
+from hiltestbed.measured.noise import step_of
+from hiltestbed.measured.record import MEASURED_GROUPS, stretches
 from hiltestbed.measured.remark import Remark, loss, note
 from hiltestbed.measured.units import SI_UNIT, UNITS, factor, split_unit, unit_named
 from hiltestbed.signals import GROUPS
 
 SAME = Channel()
 EQUAL = 1e-3  # relative difference of a scale from a factor that it stands for
-HELD = "wrench_meas"  # the group whose repeated rows are looked for
 HELD_AXES = 3  # that must be constant together
-HELD_MOST = 0.2  # part of the rows; above it, the sensor is slower than its log and repeats most
+HELD_MOST = 0.5  # part of the rows: a source at half the rate of its log repeats every second
 HELD_LONGEST = 12  # successive rows; longer constant stretches are a sensor at rest
 # Steps to both neighbours of a value, in steps of the rows around it: a curve that turns in a dead
 # zone of n rows jumps by n/2 of its steps at either end, and no more than AROUND rows are taken for
@@ -138,24 +138,36 @@ def without_empty(
 
 
 def without_held(run: int, values: Mapping[str, Array]) -> tuple[dict[str, Array], list[Remark]]:
-    """The columns, with NaN in the rows of the force that its logger held, and a remark on them:
-    all axes of a sensor, whose noise never stops, have the numbers of the row before again.
+    """The columns, with NaN in the rows of a group that its logger held, and remarks on them: all
+    its columns have the numbers of the row before again. Noise never does that, nor a motion that
+    is not written in steps.
     """
-    names = [n for n in GROUPS[HELD].columns if n in values]
-    if len(names) < HELD_AXES or len({len(values[n]) for n in names}) != 1:
-        return dict(values), []
-    rows = np.column_stack([values[n] for n in names])
-    held = np.r_[False, (rows[1:] == rows[:-1]).all(axis=1)] & (rows != 0.0).any(axis=1)
-    for start, end in stretches(held):
-        held[start:end] = end - start <= HELD_LONGEST
-    if not held.any() or held.mean() > HELD_MOST:
-        return dict(values), []
-    out = dict(values) | {n: np.where(held, np.nan, values[n]) for n in names}
-    text = (
-        f"repeats the previous row in {int(held.sum())} of {len(held)} rows on all axes: "
-        f"held by the logger, and left out"
-    )
-    return out, [loss(run, HELD, text)]
+    out, remarks = dict(values), []
+    for group in MEASURED_GROUPS:
+        names = [n for n in GROUPS[group].columns if n in values]
+        if len(names) < HELD_AXES or len({len(values[n]) for n in names}) != 1:
+            continue
+        rows = np.column_stack([values[n] for n in names])
+        if not any(_varies_freely(column) for column in rows.T):
+            continue
+        held = np.r_[False, (rows[1:] == rows[:-1]).all(axis=1)] & (rows != 0.0).any(axis=1)
+        for start, end in stretches(held):
+            held[start:end] = end - start <= HELD_LONGEST
+        if not held.any() or held.mean() > HELD_MOST:
+            continue
+        out |= {n: np.where(held, np.nan, values[n]) for n in names}
+        text = (
+            f"repeats the previous row in {int(held.sum())} of {len(held)} rows on all axes: "
+            f"held by the logger, and left out"
+        )
+        remarks.append(loss(run, group, text))
+    return out, remarks
+
+
+def _varies_freely(values: Array) -> bool:
+    """Whether a column changes, and not in steps."""
+    known = values[np.isfinite(values)]
+    return len(known) > 0 and float(np.ptp(known)) > 0.0 and step_of(known) is None
 
 
 @dataclass(frozen=True)

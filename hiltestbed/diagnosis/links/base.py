@@ -70,6 +70,8 @@ class LinkRun:
         sigma: (N, C) its noise, infinite where not measured. touching: (N,) bool, the nominal or
             the measured contact, with its tail through the sensor.
         heavy: whether the noise has outliers, see :func:`hiltestbed.diagnosis.noise.softened`.
+        steps: (C,) of a computed output, in which it is written: a residual of half a step is none;
+            0: it is not.
         nuisances: (N, C, D) nuisance terms, each at one standard deviation, see
             :mod:`hiltestbed.diagnosis.nuisances`; None: there are none.
     """
@@ -80,6 +82,7 @@ class LinkRun:
     touching: np.ndarray
     heavy: bool = False
     nuisances: Array | None = None
+    steps: Array | float = 0.0
 
     @property
     def rows(self) -> int:
