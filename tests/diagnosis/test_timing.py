@@ -122,6 +122,7 @@ def explained(*effects: tuple[str, dict[str, Any]], shift: Timing = NO_SHIFT) ->
         adequate=True,
         kinds=tuple(kind for kind, _ in effects),
         timing=lambda: shift,
+        stamp_error=lambda: 0.0,
         link=Fake(tick=H, runs=[Fake(scenario=scenario())]),
     )
 
