@@ -32,7 +32,7 @@ from hiltestbed.diagnosis.recorded import (
 )
 from hiltestbed.diagnosis.settings import MIN_POSE_NOISE
 from hiltestbed.diagnosis.stiction import sticking
-from hiltestbed.diagnosis.timing import clocks_of, judged_again
+from hiltestbed.diagnosis.timing import clocks_of, is_off, judged_again
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.inference.search import Progress
@@ -152,7 +152,8 @@ def with_computed_commands(
     absent = any(n in r.record.absent for r in layout.runs for n in GROUPS["pose_cmd"].columns)
     if not noisy or absent or not numerical_model.adequate or link.weights(0) is not None:
         return layout
-    whole = dynamics_link(layout, layout.whole).with_timing(numerical_model.timing())
+    timing = numerical_model.timing() if is_off(numerical_model) else link.timing
+    whole = dynamics_link(layout, layout.whole).with_timing(timing)
     shown = whole.shown_in_all(numerical_model.effects())
     runs = [
         replace(r, record=r.record.with_group("pose_cmd", poses_of(flat)))

@@ -522,14 +522,15 @@ class LinkModel(Model):
         """Log of the evidence of a fit, with the deviations of the noise and the price of its
         filters, so that models with different noise can be compared.
         """
-        weights = [self.link.weights(i) for i in self.members]
-        pairs = zip(self.members, weights, strict=True)
-        used = [self.weight[i] if w is None else w for i, w in pairs]
+        total = 0.0
+        for i, taken in zip(self.members, self._taken, strict=True):
+            w = self.link.weights(i)
+            total += float(np.sum(np.log((self.weight[i] if w is None else w).ravel()[taken])))
         own, known = self._colour, self.link.colour()  # of which the latter is no estimate
         each = len(self.link.channels) * (0 if known is None else len(known) - 1)
         numbers = 0 if own is None else sum(np.size(f[:, 1:]) - each for f in own)
         price = 0.5 * numbers * math.log(max(sum(map(len, self.rows)), 1))
-        return found.evidence + sum(float(np.sum(np.log(w[w > 0.0]))) for w in used) - price
+        return found.evidence + total - price
 
     def measured(self) -> list[Array]:
         return [

@@ -119,7 +119,7 @@ class ClockOffset:
 def clock_offsets(explanations: Mapping[str, Explanation]) -> tuple[ClockOffset, ...]:
     """What is attributed to the timing of the facility."""
     out = []
-    for name, rows in ((n, shift_rows(e)) for n, e in explanations.items() if _off(e)):
+    for name, rows in ((n, shift_rows(e)) for n, e in explanations.items() if is_off(e)):
         scenario = explanations[name].link.runs[0].scenario
         delay = rows * scenario.tick
         price = 0.5 * math.pi * contact_frequency(scenario) * delay
@@ -127,5 +127,8 @@ def clock_offsets(explanations: Mapping[str, Explanation]) -> tuple[ClockOffset,
     return tuple(out)
 
 
-def _off(e: Explanation) -> bool:
+def is_off(e: Explanation) -> bool:
+    """Whether the timing of a link differs from the believed one by more than an integration in
+    steps does.
+    """
     return abs(shift_rows(e)) > TIME_ERROR
