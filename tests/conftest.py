@@ -52,6 +52,7 @@ QUICK = (  # files and folders below tests
     "sensor",
     "test_frames.py",
     "test_imports.py",
+    "test_kept_stability.py",
     "test_ledger.py",
     "test_progress.py",
     "test_python_api.py",

@@ -104,7 +104,7 @@ def test_compiling_is_told_once_and_only_where_it_takes_long(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # one of its own, whatever commands were called in this process before
-    listener = kernels.tell_of_compiling.__wrapped__()
+    listener = kernels.listen()
     unregister("numba:compile", listener)  # fails where it was not registered
     for patience, told in ((3600.0, 0), (0.0, 1), (0.0, 0)):
         monkeypatch.setattr(kernels, "PATIENCE", patience)

@@ -31,9 +31,8 @@ another line, and the full lag of the platform counts until that line is known.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,7 +53,7 @@ from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects import by_link
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import mobility
-from hiltestbed.scenario import Scenario, load_scenario
+from hiltestbed.scenario import Scenario
 
 LATER = "along the normal of a later touch"
 # range of the search for the stiffness limit: the stiffness times or divided by this
@@ -225,13 +224,6 @@ def _computes(scenario: Scenario, ways: Sequence[Direction], exact: bool) -> boo
     straight &= not any(e.link == "contact" for e in scenario.effects)
     straight &= not (exact and scenario.compensation.motion.corrects_force)
     return straight and (exact or measured_response(scenario) is EXACT)
-
-
-def stability_of_file(
-    path: str | Path, set: Mapping[str, Any] | None = None
-) -> dict[str, Any] | None:
-    """The same for a valid scenario file, with dotted keys overridden."""
-    return stability(load_scenario(path, set))
 
 
 def _left(judged: Stability) -> float:

@@ -106,41 +106,41 @@ def check(
 
     hiltestbed check my-rig.yaml --set sensor.delay=0.010
     """
-    from hiltestbed.analysis.stability import stability_of_file
+    from hiltestbed.analysis.kept_stability import stability_of_file
     from hiltestbed.compiled.warm import tell_of_compiling
     from hiltestbed.config.check import look_at
     from hiltestbed.config.gallery import find_scenario
 
     tell_of_compiling()
-    changes = overrides(sets)
-    paths = [find_scenario(file) for file in files]
-    found = [(file, look_at(path, changes)) for file, path in zip(files, paths, strict=True)]
-    stable = [
-        stability_of_file(path, changes) if one.kind == "scenario" and not one.faults else None
-        for path, (_, one) in zip(paths, found, strict=True)
-    ]  # fmt: skip
-    valid = not any(one.faults for _, one in found)
+    changes, valid = overrides(sets), True
+    rows = []
+    for file in files:
+        path = find_scenario(file)
+        found = look_at(path, changes)
+        valid = valid and not found.faults
+        if not as_json:
+            lines = [f"{file}: {remark}" for remark in found.remarks]
+            if found.budget and not found.faults:
+                lines.append(f"{file}: needs {found.budget}")
+            lines = [*(found.faults or [f"{file}: {found.kind}: no faults"]), *lines]
+            print(*lines, sep="\n", flush=True)  # the verdict may take seconds
+        judged = (
+            stability_of_file(path, changes)
+            if found.kind == "scenario" and not found.faults
+            else None
+        )
+        if judged and not as_json:
+            print(f"{file}: {judged['verdict']}")
+        row = {
+            "file": str(file),
+            "kind": found.kind,
+            "faults": [vars(fault) for fault in found.faults],
+            "remarks": list(found.remarks),
+            "budget": vars(found.budget) if found.budget else None,
+        }
+        rows.append(row | ({"stability": judged} if judged else {}))
     if as_json:
-        rows = [
-            {
-                "file": str(file),
-                "kind": one.kind,
-                "faults": [vars(fault) for fault in one.faults],
-                "remarks": list(one.remarks),
-                "budget": vars(one.budget) if one.budget else None,
-            }
-            | ({"stability": judged} if judged else {})
-            for (file, one), judged in zip(found, stable, strict=True)
-        ]
         print(json.dumps({"valid": valid, "files": rows}))
-    else:
-        for (file, one), judged in zip(found, stable, strict=True):
-            lines = [f"{file}: {remark}" for remark in one.remarks]
-            if one.budget and not one.faults:
-                lines.append(f"{file}: needs {one.budget}")
-            if judged:
-                lines.append(f"{file}: {judged['verdict']}")
-            print(*(one.faults or [f"{file}: {one.kind}: no faults"]), *lines, sep="\n")
     if not valid:
         raise typer.Exit(2)
 

@@ -17,6 +17,7 @@ from numba.core.caching import Cache, CompileResultCacheImpl
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder, compile_result
 from numba.core.registry import CPUDispatcher
+from numba.core.types import unliteral
 
 
 def inlined(kernel: Any) -> Any:
@@ -114,6 +115,11 @@ class _InnerCache(Cache):
 class _InnerDispatcher(CPUDispatcher):
     def enable_caching(self) -> None:
         self._cache = _InnerCache(self.py_func)
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Of a call with a number that is written out: one code for every number of its type."""
+        plain = {name: unliteral(kind) for name, kind in kws.items()}
+        return super().get_call_template(tuple(map(unliteral, args)), plain)
 
     def add_overload(self, cres: Any) -> None:
         self.overloads[tuple(cres.signature.args)] = cres

@@ -18,6 +18,9 @@ import numpy as np
 INTERPRETED_CALLS = 1000
 
 
+_awaiting: list[Callable[[], Any]] = []
+
+
 class Kernel:
     """A function to be compiled; kernels may call it, too.
 
@@ -34,6 +37,8 @@ class Kernel:
         """Numba's dispatcher of the function."""
         from hiltestbed.compiled.dispatch import dispatcher_of
 
+        while _awaiting:
+            _awaiting.pop()()
         return dispatcher_of(self)
 
     # a call goes to the dispatcher without a frame of its own: some kernels take less than one
@@ -45,6 +50,11 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     whenever anything that it depends on has changed.
     """
     return lambda function: Kernel(function, options)
+
+
+def before_the_first_kernel(prepare: Callable[[], Any]) -> None:
+    """Call ``prepare`` once Numba is needed, which takes a tenth of a second to import."""
+    _awaiting.append(prepare)
 
 
 @cache

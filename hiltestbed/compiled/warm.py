@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from hiltestbed.compiled.jit import before_the_first_kernel
 from hiltestbed.process.output import overwrite
 
 PATIENCE = 1.0  # [s] of compiling, after which a message to the user is printed
@@ -40,10 +41,15 @@ def compiled() -> bool:
 
 
 @functools.cache
-def tell_of_compiling() -> Any:
+def tell_of_compiling() -> None:
     """From now on, print a message to standard error, once, if compiling takes longer than
-    :data:`PATIENCE`; returns the listener for Numba's events.
+    :data:`PATIENCE`.
     """
+    before_the_first_kernel(listen)
+
+
+def listen() -> Any:
+    """Registers the listener for Numba's events that prints the message, and returns it."""
     from numba.core import event
 
     class CompileListener(event.Listener):

@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from hiltestbed import plugins
+from hiltestbed.config.gallery import shipped
 
 PACKAGES = ("hiltestbed", "mujoco", "pin", "numpy", "scipy", "numba")
 _ROOT = Path(__file__).parents[1]  # the package
@@ -22,8 +23,8 @@ def versions() -> dict[str, str]:
 
 
 def provenance() -> dict[str, str]:
-    """:func:`versions`, and the SHA-256 of the package's own sources and of each loaded plugin's: a
-    version alone does not tell what an edited tree computes.
+    """:func:`versions`, and the SHA-256 of the package's own sources and models, and of each loaded
+    plugin: a version alone does not tell what an edited tree computes.
     """
     users = {f"plugin {Path(name).name}": code for name, code in plugins.loaded().items()}
     return versions() | {"hiltestbed's code": code_sha256()} | users
@@ -46,9 +47,14 @@ def _short(value: str) -> str:
 
 @functools.cache
 def code_sha256() -> str:
-    """SHA-256 of every file of the package that is not made by running it."""
+    """SHA-256 of every file of the package and of the shipped models, except for what is made by
+    running it.
+    """
     seen = hashlib.sha256()
-    for file in sorted(_ROOT.rglob("*")):
-        if "__pycache__" not in file.parts and file.is_file():
-            seen.update(str(file.relative_to(_ROOT)).encode() + b"\0" + file.read_bytes() + b"\0")
+    for root in (_ROOT, shipped("models")):  # a wheel has the models in the package
+        for file in sorted(root.rglob("*")):
+            if "__pycache__" not in file.parts and file.is_file():
+                seen.update(
+                    str(file.relative_to(root)).encode() + b"\0" + file.read_bytes() + b"\0"
+                )
     return seen.hexdigest()

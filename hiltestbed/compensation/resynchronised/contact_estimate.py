@@ -146,18 +146,12 @@ def learn(fit, law, count, sample, sigma):
     if law[FITTED] == 1.0:
         return
     variance = sigma * sigma + (MODEL_ERROR * fit[PEAK]) ** 2
-    k = law[STIFFNESS] if law[KNOWN] == 1.0 else _spring_alone(fit)
+    k = law[STIFFNESS]
+    if law[KNOWN] == 0.0:  # that of y = k x + c v without an intercept, to weight the touch point
+        det, whole = fit[XX] * fit[VV] - fit[XV] * fit[XV], fit[XX] * fit[VV]
+        k = (fit[VV] * fit[XY] - fit[XV] * fit[VY]) / det if det > 1e-12 * whole else 0.0
     if k > 0.0:
         _solve(fit, law, k, max(variance, 1e-30))
-
-
-@njit(cache=True)
-def _spring_alone(fit):
-    """k of ``y = k x + c v`` without an intercept, used only to weight the touch point."""
-    det = fit[XX] * fit[VV] - fit[XV] * fit[XV]
-    if det <= 1e-12 * fit[XX] * fit[VV]:
-        return 0.0
-    return (fit[VV] * fit[XY] - fit[XV] * fit[VY]) / det
 
 
 @njit(cache=True)

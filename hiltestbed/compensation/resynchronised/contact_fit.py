@@ -182,25 +182,19 @@ def _at(c, s, u, read):
 @njit(cache=True)
 def columns(m, p, used, rows):
     """The law's columns as the sensor shows them with the solution ``p``, into ``rows`` (r, 4)."""
-    if p[LAG] > 0.0 or m.leak[0] < 1.0:
-        _filtered_columns(m, p, used[DEEPENING] or used[STOP], rows)
-        return
     c, s, u = _solution(m, p), m.s, m.u
-    for r in range(m.y.shape[0]):
-        x, v, deep, over = _at(c, s, u, float(m.first + r))
-        rows[r, 0], rows[r, 1], rows[r, 2], rows[r, 3] = x, v, deep, over
-
-
-@njit(cache=True)
-def _filtered_columns(m, p, more, rows):
-    smooth, leak = np.empty(2), np.empty(2)
+    if p[LAG] <= 0.0 and m.leak[0] >= 1.0:
+        for r in range(m.y.shape[0]):
+            x, v, deep, over = _at(c, s, u, float(m.first + r))
+            rows[r, 0], rows[r, 1], rows[r, 2], rows[r, 3] = x, v, deep, over
+        return
     # an analogue filter acts between the ticks, too
     times = m.substeps if p[LAG] > 0.0 and p[DIGITAL] == 0.0 else 1
+    smooth, leak = np.empty(2), np.empty(2)
     low_pass_of(p[LAG] * times, p[DIGITAL], smooth)
     leak[0] = m.leak[0] ** (1.0 / times)
     leak[1] = m.leak[1] ** (1.0 / times)
-    c, s, u = _solution(m, p), m.s, m.u
-    memory = np.zeros((LINEAR, FILTERED))
+    more, memory = used[DEEPENING] or used[STOP], np.zeros((LINEAR, FILTERED))
     for r in range(m.y.shape[0]):
         x, v, deep, over = 0.0, 0.0, 0.0, 0.0
         for back in range(times - 1, -1, -1):
@@ -777,7 +771,9 @@ def fit(m, free, best, used):
         now[COST] += choice[level + 1]
         idle += 1
         if now[COST] < best[COST]:
-            best[:], used[:], idle = now, mine, 0
+            copied(now, best)
+            copied(mine, used)
+            idle = 0
         if idle == 2 or (idle == 1 and best[CHI] <= enough):
             break
     _pruned(m, told, choice, work, best, used)

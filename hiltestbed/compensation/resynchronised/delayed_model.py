@@ -154,7 +154,9 @@ def _take(i, m, rows, y):
 
 @njit(cache=True)
 def _touched(i, m, s, u, work):
-    """Start a contact: save the state for a re-run."""
+    """Start a contact: move the model of a lagging platform back, in free flight, to where the rig
+    touched, and save the state for a re-run.
+    """
     state, tick, law = m.state, m.state.tick[i], m.state.law[i]
     told = state.told[i]
     _hold(i, m, tick[DONE])
@@ -162,7 +164,13 @@ def _touched(i, m, s, u, work):
     told[SMOOTHED], told[DIGITAL] = state.lag[i, 0], state.lag[i, 1]
     told[EXPECTED] = law[ce.TOUCH] if law[ce.ARMED] == 1.0 else 0.0
     ce.touch(state.fit[i], law, state.count[i], s, u, m.tick)
-    _rewind(i, m, s, u, work)
+    pose, at = np.empty(7), np.empty(6)
+    relative_motion(state.q[i, 0], state.v[i, 0], m.bodies.port[i], work, pose, at)
+    copied(pose[0:3], at[0:3])
+    rotation_vector(pose[3:7], at[3:6])
+    reached = along(m.fixed, state.line[i], at)
+    most = min(HISTORY // 4, tick[DELAYED])
+    _move_back(i, m, int(min((reached - s) / (u * m.tick), most)) if u > 0.0 else 0, work)
     _anchor(i, state)
     tick[NEXT_RERUN] = ce.MINIMUM_SAMPLES
     tick[NEXT_FIT], tick[FELT] = FIRST_FIT, tick[DONE]
@@ -274,19 +282,6 @@ def _restore(i, state):
     copied(state.v[i, 1], state.v[i, 0])
     copied(state.filtered[i, 1], state.filtered[i, 0])
     state.tick[i, DELAYED] = state.tick[i, ANCHOR]
-
-
-@njit(cache=True)
-def _rewind(i, m, s, u, work):
-    """Of a lagging platform: move the model back, in free flight, to where the rig touched."""
-    h, fixed, bodies, state = m.tick, m.fixed, m.bodies, m.state
-    tick, pose, at = state.tick[i], np.empty(7), np.empty(6)
-    relative_motion(state.q[i, 0], state.v[i, 0], bodies.port[i], work, pose, at)
-    copied(pose[0:3], at[0:3])
-    rotation_vector(pose[3:7], at[3:6])
-    reached = along(fixed, state.line[i], at)
-    ticks = int(min((reached - s) / (u * h), min(HISTORY // 4, tick[DELAYED]))) if u > 0.0 else 0
-    _move_back(i, m, ticks, work)
 
 
 @njit(cache=True)
