@@ -520,7 +520,7 @@ class LinkModel(Model):
 
     def log_evidence(self, found: PosteriorFit) -> float:
         """Log of the evidence of a fit, with the deviations of the noise and the price of its
-        filters, so that models with different noise can be compared.
+        numbers, so that models with different noise can be compared.
         """
         total = 0.0
         for i, taken in zip(self.members, self._taken, strict=True):
@@ -528,7 +528,8 @@ class LinkModel(Model):
             total += float(np.sum(np.log((self.weight[i] if w is None else w).ravel()[taken])))
         own, known = self._colour, self.link.colour()  # of which the latter is no estimate
         each = len(self.link.channels) * (0 if known is None else len(known) - 1)
-        numbers = 0 if own is None else sum(np.size(f[:, 1:]) - each for f in own)
+        filters = 0 if own is None else sum(np.size(f[:, 1:]) - each for f in own)
+        numbers = filters + self.link.noise_numbers
         price = 0.5 * numbers * math.log(max(sum(map(len, self.rows)), 1))
         return found.evidence + total - price
 

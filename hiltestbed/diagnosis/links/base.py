@@ -115,6 +115,7 @@ class ModelLink(ABC):
         rounding: (N, 3) of each run, standard deviation of the rounding errors of the input's
             positions [m]; empty: there are none.
         logged: the filter through which readings went to the record; None: none.
+        noise_numbers: of the noise of the input, that were fitted.
     """
 
     name: str
@@ -123,6 +124,7 @@ class ModelLink(ABC):
     timing: Timing = NO_SHIFT
     rounding: Sequence[Array] = ()
     logged: LowPass | None = None
+    noise_numbers: int = 0
     computed: bool = False  # whether the output follows from the input without a delay or noise
 
     def with_rounding(self, rounding: Sequence[Array]) -> Self:

@@ -87,7 +87,9 @@ class DynamicsLink(ModelLink):
         found = minimize(
             cost, min(starts, key=cost), method="Nelder-Mead", options={"maxfev": NOISE_TRIALS}
         )
-        return self.with_input_errors([variance(i, found.x) for i in range(len(self.runs))])
+        out = self.with_input_errors([variance(i, found.x) for i in range(len(self.runs))])
+        out.noise_numbers = len(found.x)
+        return out
 
     def _gains(self) -> Array:
         """(6, 6) change of each channel in a tick, per unit of each part of the wrench."""
