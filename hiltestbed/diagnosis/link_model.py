@@ -226,13 +226,14 @@ class LinkModel(Model):
         return self if open_ is None and self.doubt is None else self._with(doubt=open_)
 
     def coloured(self, left: Sequence[Array]) -> LinkModel:
-        """The same with noise of the colour that residuals have outside contact, channel by channel
-        and run by run.
+        """The same with noise of the colour that residuals have outside contact, or in a mechanism
+        that never leaves it, channel by channel and run by run.
         """
+        free = {(n, c) for n, c, inside in self.groups if not inside}
         plain = np.eye(1, COLOUR_ORDER + 1)[0]
         colour = [np.tile(plain, (len(self.link.channels), 1)) for _ in self.link.runs]
         for x, (n, c, inside) in zip(left, self.groups, strict=False):
-            if inside or len(x) <= COLOUR_ORDER or not x.any():
+            if (inside and (n, c) in free) or len(x) <= COLOUR_ORDER or not x.any():
                 continue
             lags = np.array([float(x[k:] @ x[: len(x) - k]) for k in range(COLOUR_ORDER + 1)])
             colour[self.members[n]][c] = whitening_filter(lags)

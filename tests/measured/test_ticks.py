@@ -14,6 +14,7 @@ from hiltestbed.measured.clock import UsableRows, as_ticks
 from hiltestbed.measured.noise import digits_of, last_digit
 from hiltestbed.measured.reading import read_record
 from hiltestbed.measured.values import without_held
+from hiltestbed.signals import GROUPS
 
 TICK, ROWS = 1e-3, 800
 NOISE = 2e-6  # [m]
@@ -71,6 +72,12 @@ def test_rows_that_are_held_are_lost_and_a_force_at_rest_is_not() -> None:
     lost = np.flatnonzero(np.isnan(kept["wrench_meas.fz"]))
     np.testing.assert_array_equal(lost, [51, 52, 53])
     assert len(remarks) == 1
+    moving = np.repeat((0.3 * AT + AT**2)[:, None], 3, axis=1)
+    moving[51:54] = moving[50]
+    for step, lost in ((0.0, [51, 52, 53]), (1e-3, [])):  # what moves in steps is not held
+        poses = np.round(moving / step) * step if step else moving
+        kept, _ = without_held(0, dict(zip(GROUPS["pose_cmd"].columns, poses.T, strict=False)))
+        np.testing.assert_array_equal(np.flatnonzero(np.isnan(kept["pose_cmd.pz"])), lost)
     plain, none = without_held(0, {n: np.zeros(ROWS) for n in force})
     assert not none
     assert not np.isnan(plain["wrench_meas.fz"]).any()

@@ -19,6 +19,7 @@ from numpy.random import Generator
 from scipy import signal
 
 from tests.equipment.independent_rig.log import STAMP_DIGITS, Log
+from tests.equipment.independent_rig.log_errors import log_errors
 from tests.equipment.independent_rig.nuisances import shifted
 
 Apply = Callable[[Log, float, Generator], Log]
@@ -233,4 +234,7 @@ NOISE_KINDS: dict[str, NoiseKind] = {
     "stamp_jitter": NoiseKind("fraction of a row, 1 sigma", (0.05, 0.1), "log", stamp_jitter),
     "clock": NoiseKind("fraction", (2e-4, 5e-4), "log", clock),
     "log_rate": NoiseKind("Hz", (1700.0, 500.0, 250.0), "log", log_rate),
+} | {
+    name: NoiseKind("m, N, sigma of the wrench or fraction", sizes, "log", apply)
+    for name, (sizes, apply) in log_errors().items()
 }
