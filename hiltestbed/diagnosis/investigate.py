@@ -35,6 +35,7 @@ from hiltestbed.diagnosis.stiction import sticking
 from hiltestbed.diagnosis.timing import clocks_of, is_off, judged_again
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.effects.table import EFFECTS
+from hiltestbed.frames import Array
 from hiltestbed.inference.search import Progress
 from hiltestbed.measured import MeasuredDataset
 from hiltestbed.measured.noise import finest_noise
@@ -142,24 +143,31 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
 def with_computed_commands(
     dataset: MeasuredDataset, layout: DatasetLayout, numerical_model: Explanation
 ) -> DatasetLayout:
-    """The layout with the poses that the explained numerical model computed in place of a noisy
-    record of them: what is on record of a computed pose errs by what its log adds.
+    """The layout with the poses that the explained numerical model computed in place of a record of
+    them that lacks rows, or to which the log adds more noise than they have.
     """
-    link, noisy = numerical_model.link, False
-    for run in layout.runs:
-        levels = [finest_noise(x) for x in run.record.filled("pose_cmd")[:, :3].T]
-        noisy |= max(levels) > MIN_POSE_NOISE
-    absent = any(n in r.record.absent for r in layout.runs for n in GROUPS["pose_cmd"].columns)
-    if not noisy or absent or not numerical_model.adequate or link.weights(0) is not None:
+    link, names = numerical_model.link, GROUPS["pose_cmd"].columns
+    absent = any(n in r.record.absent for r in layout.runs for n in names)
+    if absent or not numerical_model.adequate or link.weights(0) is not None:
         return layout
     timing = numerical_model.timing() if is_off(numerical_model) else link.timing
     whole = dynamics_link(layout, layout.whole).with_timing(timing)
     shown = whole.shown_in_all(numerical_model.effects())
+    own = _noise_of_positions(shown)
+    noise = _noise_of_positions([r.record.filled("pose_cmd") for r in layout.runs])
+    lost = not all(r.record.whole("pose_cmd") for r in layout.runs)
+    if not lost and noise**2 - own**2 < max(own, MIN_POSE_NOISE) ** 2:
+        return layout
     runs = [
         replace(r, record=r.record.with_group("pose_cmd", poses_of(flat)))
         for r, flat in zip(layout.runs, shown, strict=True)
     ]
     return lay_out(replace(dataset, runs=tuple(runs)))
+
+
+def _noise_of_positions(poses: Sequence[Array]) -> float:
+    """[m] the largest noise of a position in (N, C) poses."""
+    return max(finest_noise(x) for p in poses for x in p[:, :3].T)
 
 
 def with_stiction(layout: DatasetLayout, link: PlatformLink) -> tuple[Scales, PlatformLink]:
