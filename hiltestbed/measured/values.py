@@ -151,8 +151,9 @@ def without_held(run: int, values: Mapping[str, Array]) -> tuple[dict[str, Array
         if not any(_varies_freely(column) for column in rows.T):
             continue
         held = np.r_[False, (rows[1:] == rows[:-1]).all(axis=1)] & (rows != 0.0).any(axis=1)
-        for start, end in stretches(held):
-            held[start:end] = end - start <= HELD_LONGEST
+        for start, end in stretches(held):  # no row beside one at an end shows a change
+            inside = start > 1 and end < len(held)
+            held[start:end] = inside and end - start <= HELD_LONGEST
         if not held.any() or held.mean() > HELD_MOST:
             continue
         out |= {n: np.where(held, np.nan, values[n]) for n in names}
