@@ -48,7 +48,8 @@ def _of_compensation(runs: Sequence[MeasuredRun]) -> str | None:
     if not every_run_has(runs, *groups):
         kinds = ", ".join(sorted({s.compensation.force.kind for s in scenarios}))
         return f"needs {' and '.join(groups)} in every run for compensation.force {kinds}"
-    if groups and not all(all_axes(r, *own) for r, own in zip(runs, needed, strict=True)):
+    pairs = zip(runs, needed, strict=True)
+    if groups and not all(all_axes(r, g) for r, own in pairs for g in own):
         kinds = " and ".join(["wrench_meas", *groups])
         return f"needs all axes of {kinds}: {OFF_AXIS} each of them acts on the force"
     return None
