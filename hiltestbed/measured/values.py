@@ -24,6 +24,7 @@ from hiltestbed.signals import GROUPS
 
 SAME = Channel()
 EQUAL = 1e-3  # relative difference of a scale from a factor that it stands for
+SENSED = "wrench_meas"
 HELD_AXES = 3  # that must be constant together
 HELD_MOST = 0.5  # part of the rows: a source at half the rate of its log repeats every second
 HELD_LONGEST = 12  # successive rows; longer constant stretches are a sensor at rest
@@ -151,8 +152,9 @@ def without_held(run: int, values: Mapping[str, Array]) -> tuple[dict[str, Array
         if not any(_varies_freely(column) for column in rows.T):
             continue
         held = np.r_[False, (rows[1:] == rows[:-1]).all(axis=1)] & (rows != 0.0).any(axis=1)
-        for start, end in stretches(held):  # no row beside one at an end shows a change
-            inside = start > 1 and end < len(held)
+        for start, end in stretches(held):
+            # what is computed or moves may rest at an end, the noise of a sensor never does
+            inside = (start > 1 and end < len(held)) or group == SENSED
             held[start:end] = inside and end - start <= HELD_LONGEST
         if not held.any() or held.mean() > HELD_MOST:
             continue

@@ -36,6 +36,6 @@ def test_an_error_of_the_log_alone_is_no_departure(
     assert _verdict(tmp_path, 31, noise) == ("no_discrepancy", [])
 
 
-@pytest.mark.parametrize("effect", ["contact.stiffness", "loop.deadzone"])
+@pytest.mark.parametrize("effect", [pytest.param("contact.stiffness", marks=SLOW), "loop.deadzone"])
 def test_an_effect_beside_it_is_named(tmp_path: Path, effect: str) -> None:
     assert _verdict(tmp_path, 33, QUICK[0], effect) == ("named", [effect])
