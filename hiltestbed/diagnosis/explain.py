@@ -255,18 +255,11 @@ class _SoFar:
     ) -> Searched:
         return search(self._likelihood, self.candidates, self._progress, start, before, more)
 
-    def _through(self, model: LinkModel, base: PosteriorFit, likelihood: Likelihood) -> None:
+    def _through(self, model: LinkModel, likelihood: Likelihood, start: PosteriorFit) -> bool:
+        """Go on with another model, from a fit by its ``likelihood``."""
         self.model, self._likelihood, self._new = model, likelihood, True
-        self.found = self._searched(
-            likelihood.fit(base.causes, [base.of.theta], base.of.nuisances), (), 0
-        )
-
-    def _led_to(self, model: LinkModel, base: PosteriorFit) -> bool:
-        """Whether a model is another one: then it is gone on with, from a hypothesis."""
-        other = model is not self.model
-        if other:
-            self._through(model, base, model.likelihood())
-        return other
+        self.found = self._searched(start, (), 0)
+        return True
 
     def _grown(self, found: Searched) -> bool:
         """Whether a search has led to another hypothesis: then it is taken, with the interpretation
@@ -281,10 +274,11 @@ class _SoFar:
             return True
         same = there.link is self.model.link
         known = self._likelihood.through(there) if same else there.likelihood()
+        known = known.choosing(found.likelihood.choices)
         fit = known.fit(found.best.causes, [found.best.of.theta], found.best.of.nuisances)
         if there.log_evidence(fit) <= self.model.log_evidence(self.found.best):
             return False
-        self._through(there, found.best, known)
+        self._through(there, known, fit)
         self._new = False
         return True
 
@@ -312,7 +306,11 @@ class _SoFar:
         """Where no cause helps."""
         if self.found.best.causes or self._noise:
             return False
-        return self._led_to(interpreted(self.model, self.found.best), self.found.best)
+        there = interpreted(self.model, self.found.best)
+        if there is self.model:
+            return False
+        likelihood = there.likelihood()
+        return self._through(there, likelihood, likelihood.start())
 
     def noise_instead(self) -> bool:
         """Noise of the log in place of causes that smooth it."""
@@ -320,7 +318,8 @@ class _SoFar:
 
     def another_noise(self) -> bool:
         """Noise of the log."""
-        return self._led_to(*with_other_noise(self.model, self.found))
+        there, fit = with_other_noise(self.model, self.found)
+        return there is not self.model and self._through(there, there.likelihood(), fit)
 
     def other_candidates(self) -> bool:
         """Those with many numbers, and tones in what is left."""
@@ -340,12 +339,10 @@ class _SoFar:
             return False
         self._alone_asked = True
         there, alone = with_one_cause(self.found, self.candidates)
-        if there is not self.model:
-            return self._led_to(there, alone)
-        if alone.evidence <= self.found.best.evidence:
+        same = there is self.model
+        if same and alone.evidence <= self.found.best.evidence:
             return False
-        self._through(there, alone, self._likelihood)
-        return True
+        return self._through(there, self._likelihood if same else there.likelihood(), alone)
 
     def several_causes(self) -> bool:
         """Several at once, or others in their place, where few leave more than noise."""
