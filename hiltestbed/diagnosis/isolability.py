@@ -10,10 +10,12 @@ apart by the odds at which two causes are.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize.elementwise import find_root
 from scipy.stats import norm
 
 from hiltestbed.diagnosis.explain import Explanation
@@ -25,10 +27,9 @@ from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import TOLD_APART
 from hiltestbed.inference.search import Progress
-from hiltestbed.process.progress import UnitTime, time_left_text
 
-# of seven decades of a size, which is then known to 6 %
-BISECTIONS = 8
+SIZE_ERROR = 0.03  # relative, of the smallest size that shows
+MOST_ROUNDS = 8  # of its search: a jump is then placed to 6 %, a half 8 times of seven decades
 CERTAINTY = float(norm.ppf(0.95))  # standard deviations, of the odds with which a size shows
 
 
@@ -147,54 +148,50 @@ def detectable(
     """One for each effect among the candidates: of its hypotheses the one that changes the residual
     most at its largest size, at the smallest size at which it would be named.
 
-    The bisections of all effects go on together: each step is one replay.
+    The sizes of all effects are sought together: each round is one replay.
     """
     here = model.likelihood(max(1, len({c.kind for c in candidates})))
 
-    def enough(some: Sequence[Candidate], sizes: Sequence[float], squares: Array) -> np.ndarray:
-        """Whether each change (its square) is worth the price of the cause in evidence, with
-        certainty, and more than two models of the same physics differ by: -2 log of the likelihood
-        falls by the square, with a standard deviation of twice its root.
+    def excess(some: Sequence[Candidate], sizes: Array, squares: Array | None = None) -> Array:
+        """Logarithm of each change over the least that shows: it is worth the price of the cause in
+        evidence, with certainty, and more than two models of the same physics differ by: -2 log of
+        the likelihood falls by the square, with a standard deviation of twice its root.
         """
+        each: list[Effects] = [[c.at(_at(c, s))] for c, s in zip(some, sizes, strict=True)]
+        squares = FisherInformation(model, each).squares() if squares is None else squares
         prices = np.array([-here.evidence(0.0, (c,)) for c in some])
-        out = np.sqrt(squares) > CERTAINTY + np.sqrt(CERTAINTY**2 + 2.0 * prices)
-        worth = np.flatnonzero(out).tolist()
-        each: list[Effects] = [[some[i].at(_at(some[i], sizes[i]))] for i in worth]
-        out[worth] = np.logical_not(model.all_negligible([(effects, ()) for effects in each]))
-        return out
+        least = CERTAINTY + np.sqrt(CERTAINTY**2 + 2.0 * prices)
+        over = np.minimum(np.sqrt(squares) / least, model.over_negligible(each))
+        return np.asarray(np.log(np.maximum(over, np.finfo(float).tiny)))
 
     largest: dict[str, tuple[Candidate, float]] = {}
-    for c, square in zip(
-        candidates, _squares(model, candidates, [1.0] * len(candidates)), strict=True
-    ):
+    full = FisherInformation(model, [[c.at(_at(c, 1.0))] for c in candidates]).squares()
+    for c, square in zip(candidates, full, strict=True):
         if c.kind not in largest or square > largest[c.kind][1]:
             largest[c.kind] = (c, square)
     first = [c for c, _ in largest.values()]
-    shows = enough(first, [1.0] * len(first), np.array([s for _, s in largest.values()]))
-    low, high = np.zeros(len(first)), np.array([1.0 if c.names else 0.0 for c in first])
-    open_ = [i for i, c in enumerate(first) if c.names and shows[i]]
-    pace = UnitTime()
-    for done in range(BISECTIONS):
+    most = excess(first, np.ones(len(first)), np.array([s for _, s in largest.values()]))
+    sizes, shows = np.array([1.0 if c.names else 0.0 for c in first]), most > 0.0
+    open_ = np.flatnonzero(shows & (sizes > 0.0))
+    rounds = itertools.count(1)
+
+    def over(size: Array, which: np.ndarray) -> Array:
         if progress:
-            pace.update(done)
-            left = time_left_text(pace.left(BISECTIONS - done), "in this step")
-            progress(f"round {done + 1} of {BISECTIONS}{left}")
-        middle = 0.5 * (low + high)
-        some, sizes = [first[i] for i in open_], [middle[i] for i in open_]
-        there = enough(some, sizes, _squares(model, some, sizes))
-        for i, shown in zip(open_, there, strict=True):
-            ends = high if shown else low
-            ends[i] = middle[i]
-    each = zip(first, shows, high, strict=True)
-    return [Detectable(c, _at(c, float(most)), bool(there)) for c, there, most in each]
+            progress(f"round {next(rounds)}")
+        return excess([first[int(i)] for i in which], size)
 
-
-def _squares(model: LinkModel, candidates: Sequence[Candidate], sizes: Sequence[float]) -> Array:
-    """:meth:`FisherInformation.squares` of each candidate at its size, from 0 (next to nothing) to
-    1 (the largest that is searched).
-    """
-    effects = [[c.at(_at(c, size))] for c, size in zip(candidates, sizes, strict=True)]
-    return FisherInformation(model, effects).squares()
+    if len(open_):
+        # to the root by T. R. Chandrupatla, Adv. Eng. Softw. 28, 1997
+        near = {"xatol": 0.0, "xrtol": 0.0, "fatol": SIZE_ERROR, "frtol": 0.0}
+        ends = np.zeros(len(open_)), np.ones(len(open_))
+        found = find_root(over, ends, args=(open_,), tolerances=near, maxiter=MOST_ROUNDS)
+        # what shows at any size does at next to none
+        other = np.where(found.f_bracket[0] > 0.0, 0.0, found.bracket[1])
+        sizes[open_] = np.where(found.success, found.x, other)
+    return [
+        Detectable(c, _at(c, float(size)), bool(there))
+        for c, size, there in zip(first, sizes, shows, strict=True)
+    ]
 
 
 def _at(c: Candidate, size: float) -> Array:

@@ -457,38 +457,36 @@ class LinkModel(Model):
         each; outside, and where it scatters, by the noise.
         """
         effects = self.effects(of)
-        return self.all_negligible([(effects, [e for n, e in enumerate(effects) if n != index])])[0]
+        fewer = [e for n, e in enumerate(effects) if n != index]
+        return bool(self.over_negligible([effects], fewer)[0] <= 1.0)
 
-    def all_negligible(self, pairs: Sequence[tuple[Effects, Effects]]) -> list[bool]:
-        """Of each pair of lists of effects whether what one of them changes beyond the other is
-        negligible, in one replay.
-        """
+    def over_negligible(self, each: Sequence[Effects], fewer: Effects = ()) -> Array:
+        """(E,) of lists of effects, what they change beyond ``fewer``, over what is negligible."""
+        out = np.full(len(each), np.inf)
         if not isinstance(self.link, WrenchLink):
-            return [False] * len(pairs)
-        shown = iter(
-            self.link.predict([(i, e) for both in pairs for e in both for i in self.members])
-        )
-        out = []
-        for effects, fewer in pairs:
-            found = [[next(shown) for _ in self.members] for _ in range(2)]
-            out.append(self._negligible((effects, fewer), found))
+            return out
+        lanes = [(i, effects) for effects in (fewer, *each) for i in self.members]
+        shown, count = self.link.predict(lanes), len(self.members)
+        least = self._moments_of(fewer, shown[:count])
+        for k, effects in enumerate(each):
+            own = self._moments_of(effects, shown[(k + 1) * count : (k + 2) * count])
+            changed, whole, outside = np.zeros(2), np.zeros(2), 0.0
+            for i, (a, more), (b, less) in zip(self.members, own, least, strict=True):
+                inside, weight = self.link.runs[i].touching, self.weight[i]
+                for part, columns in enumerate((slice(0, 3), slice(3, 6))):
+                    changed[part] += float(np.sum((a - b)[inside, columns] ** 2))
+                    whole[part] += float(np.sum(a[inside, columns] ** 2))
+                outside += float(np.sum(((a - b) * weight)[~inside] ** 2))
+                outside += float(np.sum(np.abs(more - less) * weight**2))
+            allowed = self._model_differs() ** 2 * whole
+            shares = np.divide(changed, allowed, out=np.zeros(2), where=changed > 0.0)
+            out[k] = math.sqrt(max(*shares, outside / float(chi2.isf(ALLOWED, 1))))
         return out
 
-    def _negligible(self, both: tuple[Effects, Effects], shown: Sequence[Sequence[Array]]) -> bool:
-        """The same of one pair, by its predictions of each member."""
-        (effects, fewer), (full, less) = both, shown
-        changed, whole, outside = np.zeros(2), np.zeros(2), 0.0
-        for i, a, b in zip(self.members, full, less, strict=True):
-            inside = self.link.runs[i].touching
-            (a, spread), (b, narrow) = self._moments(i, a, effects), self._moments(i, b, fewer)
-            scatter = (0.0 if spread is None else spread) - (0.0 if narrow is None else narrow)
-            for part, columns in enumerate((slice(0, 3), slice(3, 6))):
-                changed[part] += float(np.sum((a - b)[inside, columns] ** 2))
-                whole[part] += float(np.sum(a[inside, columns] ** 2))
-            outside += float(np.sum(((a - b) * self.weight[i])[~inside] ** 2))
-            outside += float(np.sum(np.abs(scatter) * self.weight[i] ** 2))
-        within = bool(np.all(changed <= self._model_differs() ** 2 * whole))
-        return within and outside <= float(chi2.isf(ALLOWED, 1))
+    def _moments_of(self, effects: Effects, shown: Sequence[Array]) -> list[tuple[Array, Any]]:
+        """Of each member the mean prediction under effects, and its variance (N, C), or 0."""
+        found = [self._moments(i, x, effects) for i, x in zip(self.members, shown, strict=True)]
+        return [(mean, 0.0 if spread is None else spread) for mean, spread in found]
 
     def common_errors(self, of: Hypothesis) -> list[list[Array]]:
         """What a facility's integration makes of every run alike: a part of a row in time, and a
