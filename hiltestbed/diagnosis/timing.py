@@ -14,6 +14,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from scipy.stats import norm
+from scipy.stats import t as student
+
 from hiltestbed.analysis.ledger import contact_frequency
 from hiltestbed.diagnosis.explain import Explanation
 from hiltestbed.diagnosis.link_model import (
@@ -55,12 +58,14 @@ def clocks_of(name: str, explanations: Mapping[str, Explanation]) -> tuple[float
     Stamps cancel around the loop: where all others are explained without a delay of their own, the
     shift is minus the sum of theirs, as exactly as these are known, but for the instants at which
     the facility reads and obeys. A facility is as exact in one place as in another: shifts scatter
-    as those of the others do.
+    as those of the others do, of which so few tell a scatter that the shift over it has Student's
+    distribution; the normal one with the same 95 % interval stands for it.
     """
     others = [e for n, e in explanations.items() if n != name and not delayed(e)]
     if not others:
         return 0.0, SHIFT_SIGMA
-    seen = math.sqrt(sum(shift_rows(e) ** 2 for e in others) / len(others))
+    few = float(student.ppf(0.975, len(others)) / norm.ppf(0.975))
+    seen = few * math.sqrt(sum(shift_rows(e) ** 2 for e in others) / len(others))
     if len(others) < len(LINK_CHANNELS) - 1:
         return 0.0, min(seen, SHIFT_SIGMA)
     instants = min(seen, math.sqrt(2.0) * INSTANT_SIGMA)
