@@ -18,7 +18,7 @@ from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import Confirmed, SearchConclusion, conclude
 from hiltestbed.inference.likelihood import Likelihood, PosteriorFit
-from hiltestbed.inference.model import places
+from hiltestbed.inference.model import Hypothesis, places
 from hiltestbed.inference.search import MOST_CAUSES, Progress, Searched, extended, search
 from hiltestbed.sensor.effects import SensorHum
 
@@ -90,12 +90,30 @@ class Explanation:
         names = [n.name for n in likelihood.model.nuisances]
         if not names:
             return 0.0
+        shifts = np.array([0.0] * len(fit.of.theta) + [float(n != "old") for n in names])
+        return float(np.linalg.norm(shifts @ self._deviations())) / self.link.tick
+
+    def _deviations(self) -> Array:
+        """(P, P) of the numbers of the fit, by columns: independent changes of one standard
+        deviation of the posterior each.
+        """
+        likelihood, fit = self.likelihood, self.fit
         x = np.concatenate([fit.of.theta, fit.of.nuisances])
         normal, _ = likelihood.normal(fit.left, likelihood.slopes(fit.causes, x, fit.left))
-        scale = likelihood.scale_of(fit.causes, x) / self.link.tick
-        shifts = np.array([0.0] * len(fit.of.theta) + [float(n != "old") for n in names])
-        weights = shifts * scale
-        return math.sqrt(max(float(weights @ np.linalg.pinv(normal, hermitian=True) @ weights), 0))
+        variance, ways = np.linalg.eigh(np.linalg.pinv(normal, hermitian=True))
+        scale = likelihood.scale_of(fit.causes, x)
+        return np.asarray(scale[:, None] * ways * np.sqrt(np.maximum(variance, 0.0)))
+
+    def alternatives(self) -> list[list[Effect]]:
+        """The effects and the timing of the fit, changed by one standard deviation of the posterior
+        in each independent way.
+        """
+        of, count = self.fit.of, len(self.fit.of.theta)
+        x = np.concatenate([of.theta, of.nuisances])
+        low, high, _ = self.likelihood.bounds(of.causes)
+        points = np.clip(x + self._deviations().T, low, high)
+        each = [Hypothesis(of.causes, point[:count], point[count:]) for point in points]
+        return [[*other.each(), self.model.timing(other)] for other in each]
 
     def residual(self) -> Residual:
         """The residual of the link in units of the noise alone, with its timing as found; as

@@ -8,6 +8,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from hiltestbed.diagnosis.explain import Explanation, explain
 from hiltestbed.diagnosis.lacking import too_little
 from hiltestbed.diagnosis.layout import lay_out, with_noise_beside
@@ -144,15 +146,16 @@ def with_computed_commands(
     dataset: MeasuredDataset, layout: DatasetLayout, numerical_model: Explanation
 ) -> DatasetLayout:
     """The layout with the poses that the explained numerical model computed in place of a record of
-    them that lacks rows, or to which the log adds more noise than they have.
+    them that lacks rows, or to which the log adds more noise than they have; and with what that
+    computation leaves open.
     """
     link, names = numerical_model.link, GROUPS["pose_cmd"].columns
     absent = any(n in r.record.absent for r in layout.runs for n in names)
     if absent or not numerical_model.adequate or link.weights(0) is not None:
         return layout
+    whole = dynamics_link(layout, layout.whole).with_timing(link.timing)
     timing = numerical_model.timing() if is_off(numerical_model) else link.timing
-    whole = dynamics_link(layout, layout.whole).with_timing(timing)
-    shown = whole.shown_in_all(numerical_model.effects())
+    shown = whole.with_timing(timing).shown_in_all(numerical_model.effects())
     own = _noise_of_positions(shown)
     noise = _noise_of_positions([r.record.filled("pose_cmd") for r in layout.runs])
     lost = not all(r.record.whole("pose_cmd") for r in layout.runs)
@@ -162,7 +165,10 @@ def with_computed_commands(
         replace(r, record=r.record.with_group("pose_cmd", poses_of(flat)))
         for r, flat in zip(layout.runs, shown, strict=True)
     ]
-    return lay_out(replace(dataset, runs=tuple(runs)))
+    other = [whole.shown_in_all(effects) for effects in numerical_model.alternatives()]
+    each = zip(shown, *other, strict=True)
+    changes = tuple(np.stack([x - own for x in others], axis=2) for own, *others in each)
+    return replace(lay_out(replace(dataset, runs=tuple(runs))), open_commands=changes)
 
 
 def _noise_of_positions(poses: Sequence[Array]) -> float:

@@ -88,7 +88,9 @@ def _replayed(layout: DatasetLayout, platform: Explanation) -> Path:
     """What the explained platform reaches."""
     poses = _explained(layout, platform)
     rounding = [r.record.unsmoothed() for r in layout.runs]
-    path = Path(poses, central_rates_of(layout, poses), source="pose_cmd", rounding=rounding)
+    unknown = [list(np.moveaxis(c, 2, 0)) for c in layout.open_commands]
+    rates = central_rates_of(layout, poses)
+    path = Path(poses, rates, source="pose_cmd", rounding=rounding, unknown=unknown)
     noise = command_noise(layout, path)
     if not all(follows_exactly(r.scenario.rig, r.scenario.compensation) for r in layout.runs):
         noise = both(deflection_noise(layout, path), noise)

@@ -70,6 +70,8 @@ class DatasetLayout:
         deflection: of each run, departure of the believed rig from its command; None where it
             cannot be replayed or is not needed. missing: link to the reason why it is not judged.
         logged: the filter through which the force went to the log but not to the loop, if any.
+        open_commands: (N, 6, D) of each run, changes of a command that was computed, which its
+            computation leaves open, one standard deviation each; empty: commands are as on record.
     """
 
     runs: tuple[MeasuredRun, ...]
@@ -80,6 +82,7 @@ class DatasetLayout:
     deflection: tuple[Deflection, ...] | None
     missing: Mapping[str, str]
     logged: LowPass | None = None
+    open_commands: tuple[Array, ...] = ()
 
     def assumed(self) -> tuple[str, ...]:
         """The assumptions on the recorded force, in sentences."""
@@ -124,6 +127,8 @@ def platform_link(layout: DatasetLayout, rows: Sequence[int]) -> PlatformLink:
         runs.append(one)
     away = [found.away[:n] for found, n in zip(layout.deflection, rows, strict=True)]
     link = PlatformLink(runs, layout.filled("pose_cmd", rows), away)
+    if layout.open_commands:
+        link = link.with_open_commands(cut(layout.open_commands, rows))
     return link.with_rounding(cut([r.record.unsmoothed() for r in layout.runs], rows))
 
 

@@ -60,7 +60,7 @@ def search(
 
     Args:
         before: what this likelihood has visited already. more: causes that may be added, one at a
-            time, and none put in the place of others; None: all of the above.
+            time, and only the same effect elsewhere put in the place of one; None: all of the above.
     """
     likelihood = likelihood.choosing(max(1, len({c.kind for c in candidates})))
     null, visited = likelihood.start(), {f.keys: f for f in before}
@@ -82,7 +82,7 @@ def search(
         if here.most_gain(best) < here.least_price(candidates):
             break
         if more is not None or here.model.leaves_noise(best.left):
-            ways = (_added,)
+            ways = (_added, _varied)
         elif here.model.noise_known:
             ways = (_added, _paired, _exchanged)
         else:
@@ -109,6 +109,7 @@ def search(
 
 WORDS = {
     "_added": "another cause beside",
+    "_varied": "another place or number of one of",
     "_paired": "two more beside",
     "_exchanged": "another in place of one of",
     "_further": "several more beside",
@@ -120,6 +121,23 @@ def _added(here, best, candidates, visited) -> list[PosteriorFit]:
     fits = extended(here, best, candidates, least=best.evidence if noise else -math.inf)
     visited.update({f.keys: f for f in fits})
     return fits
+
+
+def _varied(here, best, candidates, visited) -> list[PosteriorFit]:
+    """The same effect at another place, or of another whole number, with all else as it stands:
+    which one suits best may change with the noise, and with the causes beside it.
+    """
+    out: list[PosteriorFit] = []
+    for index, cause in enumerate(best.causes):
+        own = cause.kind, cause.names
+        others = [c for c in candidates if (c.kind, c.names) == own and str(c.key) not in best.keys]
+        each = [(*best.causes[:index], c, *best.causes[index + 1 :]) for c in others]
+        start = [best.of.theta], best.of.nuisances
+        begun = [here.fit(causes, *start, SCREENED_STEPS) for causes in each]
+        for f in sorted(begun, key=lambda f: f.cost)[:1]:
+            out.append(here.fit(f.causes, [f.of.theta], f.of.nuisances))
+    visited.update({f.keys: f for f in out})
+    return out
 
 
 def _paired(here, best, candidates, visited) -> list[PosteriorFit]:
