@@ -60,7 +60,7 @@ def search(
 
     Args:
         before: what this likelihood has visited already. more: causes that may be added, one at a
-            time, and only the same effect elsewhere put in the place of one; None: all of the above.
+            time, and only the same effect elsewhere put in the place of one; None: all of these.
     """
     likelihood = likelihood.choosing(max(1, len({c.kind for c in candidates})))
     null, visited = likelihood.start(), {f.keys: f for f in before}

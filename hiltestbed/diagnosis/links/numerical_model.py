@@ -45,20 +45,21 @@ class DynamicsLink(ModelLink):
         self.runs = runs
         self._wrenches = padded(wrenches)
         self._errors = [np.zeros((r.rows, 6)) for r in runs]
-        self._filters: list[tuple[Array, Array, Array]] | None = None
+        self._filters: list[tuple[Array, Array]] | None = None
 
     def with_input_errors(self, variance: Sequence[Array]) -> DynamicsLink:
         """The same link on recorded wrenches whose errors have a ``variance`` (N, 6) in each run:
         rows that are not on record, written digits, noise that only the log has.
 
         They change the twists, so that a departure from the believed motion goes on. It is whitened
-        by the innovations of a Kalman filter of each channel (R. E. Kalman, J. Basic Eng. 82,
-        1960), with position and speed as its state.
+        by the innovations of a Kalman filter with the places and speeds of all channels as its
+        state, which takes in one channel of a row after the other (R. E. Kalman, J. Basic Eng. 82,
+        1960; G. J. Bierman, Factorization Methods, 1977): a force moves and turns a body at once.
         """
         out, gains = copy(self), self._gains()
         out._errors = list(variance)
         out._filters = [
-            _innovations(np.ascontiguousarray(v @ gains.T**2), r.sigma**2)
+            _innovations(np.ascontiguousarray(v), gains, r.sigma**2)
             for v, r in zip(variance, self.runs, strict=True)
         ]
         return out
@@ -66,7 +67,7 @@ class DynamicsLink(ModelLink):
     def noisier(self, left: Sequence[tuple[int, Array]]) -> DynamicsLink:
         """With noise of the recorded wrenches that makes the departures most likely."""
         sizes = [self._wrenches[i, : self.runs[i].rows] ** 2 for i, _ in left]
-        gains = self._gains() ** 2
+        gains = self._gains()
         floor = np.sqrt(max(float(s.mean()) for s in sizes))
 
         def variance(i: int, numbers: Array) -> Array:
@@ -77,9 +78,8 @@ class DynamicsLink(ModelLink):
         def cost(numbers: Array) -> float:
             total = 0.0
             for i, x in left:
-                process = np.ascontiguousarray(variance(i, numbers) @ gains.T)
-                filters = _innovations(process, self.runs[i].sigma ** 2)
-                z, w = _whiten(x, *filters), filters[2]
+                filters = _innovations(variance(i, numbers), gains, self.runs[i].sigma ** 2)
+                z, w = _whiten(x, *filters), filters[1]
                 total += float(np.sum(z * z)) - 2.0 * float(np.sum(np.log(w[w > 0.0])))
             return total
 
@@ -104,7 +104,7 @@ class DynamicsLink(ModelLink):
         return out
 
     def weights(self, i: int) -> Array | None:
-        return None if self._filters is None else self._filters[i][2]
+        return None if self._filters is None else self._filters[i][1]
 
     def whitened(self, i: int, left: Array) -> Array | None:
         return None if self._filters is None else _whiten(left, *self._filters[i])
@@ -128,39 +128,49 @@ class DynamicsLink(ModelLink):
 
 
 @njit(cache=True)
-def _innovations(process, noise):
-    """Of each row and channel, both variances (N, C): the two gains of the filter, and one over the
-    deviation of the innovation; 0 where the noise is infinite.
+def _innovations(variance, gains, noise):
+    """Of wrenches whose errors have a ``variance`` (N, 6) and change the twists by ``gains`` (C, 6)
+    in a tick, and outputs with variances ``noise`` (N, C): (N, C, 2 C) gains of the filter, and
+    (N, C) one over the deviation of the innovation; 0 where the noise is infinite.
     """
-    rows, channels = noise.shape
-    place, speed = np.zeros((rows, channels)), np.zeros((rows, channels))
-    weight = np.zeros((rows, channels))
-    for c in range(channels):
-        a, b, d = 0.0, 0.0, 0.0  # covariance of position, of both, of speed
-        for k in range(rows):
-            d += process[k, c]
-            a, b = a + 2.0 * b + d, b + d
+    rows, count = noise.shape
+    follow, weight = np.zeros((rows, count, 2 * count)), np.zeros((rows, count))
+    p = np.zeros((2 * count, 2 * count))  # covariance of places, and of speeds after them
+    for k in range(rows):
+        for i in range(count):
+            for j in range(count):
+                for n in range(variance.shape[1]):
+                    p[count + i, count + j] += gains[i, n] * variance[k, n] * gains[j, n]
+        for i in range(2 * count):
+            for j in range(count):
+                p[i, j] += p[i, count + j]
+        for i in range(count):
+            for j in range(2 * count):
+                p[i, j] += p[count + i, j]
+        for c in range(count):
             if np.isfinite(noise[k, c]):
-                s = a + noise[k, c]
-                place[k, c], speed[k, c] = a / s, b / s
+                s = p[c, c] + noise[k, c]
                 weight[k, c] = 1.0 / math.sqrt(s)
-                d -= b * b / s
-                b -= a * b / s
-                a -= a * a / s
-    return place, speed, weight
+                for i in range(2 * count):
+                    follow[k, c, i] = p[i, c] / s
+                for i in range(2 * count):
+                    for j in range(2 * count):
+                        p[i, j] -= s * follow[k, c, i] * follow[k, c, j]
+    return follow, weight
 
 
 @njit(cache=True)
-def _whiten(left, place, speed, weight):
+def _whiten(left, follow, weight):
     """(N, C) innovations of departures (N, C), over their deviations."""
-    out = np.zeros_like(left)
-    for c in range(left.shape[1]):
-        x, v = 0.0, 0.0
-        for k in range(left.shape[0]):
-            x += v
+    rows, count = left.shape
+    out, x = np.zeros_like(left), np.zeros(2 * count)
+    for k in range(rows):
+        for c in range(count):
+            x[c] += x[count + c]
+        for c in range(count):
             if weight[k, c] > 0.0:
-                e = left[k, c] - x
-                x += place[k, c] * e
-                v += speed[k, c] * e
+                e = left[k, c] - x[c]
+                for i in range(2 * count):
+                    x[i] += follow[k, c, i] * e
                 out[k, c] = e * weight[k, c]
     return out
