@@ -168,7 +168,7 @@ def compensation_link(layout: DatasetLayout, rows: Sequence[int]) -> Compensatio
     for (r, n), run in zip(pairs, first, strict=True):
         record = r.record
         own = np.hypot(record.rounding("wrench_comp"), interpolation_error(record, "wrench_comp"))
-        passed = link.passed(input_variance(r, "wrench_meas", noise, most)[:n])
+        passed = link.passed(input_variance(record, "wrench_meas", noise, most)[:n])
         sigma = np.sqrt(run.sigma**2 + own[:n] ** 2 + passed)
         if link.linear:
             bridged = np.where(record.lost("wrench_meas")[:n, None], noise**2, 0.0)
@@ -216,24 +216,22 @@ def dynamics_link(layout: DatasetLayout, rows: Sequence[int]) -> DynamicsLink:
         sigma = np.sqrt(run.sigma**2 + written**2 + quantised**2)
         sigma[r.record.in_long_gaps("wrench_comp")[:n]] = np.inf
         runs.append(replace(run, sigma=sigma))
-        variance.append(input_variance(r, "wrench_comp", noise, most)[:n])
+        variance.append(input_variance(r.record, "wrench_comp", noise, most)[:n])
     link = DynamicsLink(runs, layout.filled("wrench_comp", rows))
     return link.with_input_errors(variance) if any(v.any() for v in variance) else link
 
 
-def input_variance(run: MeasuredRun, group: str, noise: Array, most: Array) -> Array:
+def input_variance(record: Record, group: str, noise: Array, most: Array) -> Array:
     """(ticks, 6) variance of the errors of recorded wrenches, where they are the input of a link:
     of written digits, of converter steps, of ticks between the rows of a slower log, and of what
     bridges lost rows: noise, and the difference of the rows beside, by as much as which a reading
     jumps at a touch; in a gap that may hide a contact, and at an end, the largest reading on
     record. noise, most: (6,) of it.
 
-    Errors of one stretch without rows are alike, and add up, as do those of rows in which a reading
-    without dither stays at its step; on a line between rows, so does the noise of these.
+    Errors of one stretch without rows are alike, and add up; on a line between rows, so does the
+    noise of these.
     """
-    record = run.record
     out = record.rounding(group) ** 2 + (STEP_SIGMA * _steps(record, group)) ** 2
-    out *= repetition_factor(run, group, record.ticks) ** 2
     if group in record.bends:
         stride = record.rate / record.sample_rate
         bend = interpolation_error(record, group)
