@@ -23,6 +23,7 @@ from hiltestbed.contact.composition import (
     READ,
 )  # fmt: skip
 from hiltestbed.contact.geometry import RADIUS, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, VALUES, unmet
+from hiltestbed.contact.law import touches
 from hiltestbed.contact.parameters import DAMPING, OFFSET, STIFFNESS
 from hiltestbed.contact.wrench import add_at, add_contact, law_of, meet_all
 from hiltestbed.frames import Array, quat_mul, rotate, rotate_back
@@ -163,7 +164,7 @@ def touch_facets(geometry, laws, bodies, inputs, felt):
             if depth[c] <= row[OFFSET] and push == 0.0:
                 geom_pos[i, ids[c, 1], 2] = AWAY
                 continue
-            touching[i] = True
+            touching[i] |= touches(depth[c], push, row)
             out[PUSH], out[DRAG] = push, drag
             place, side = frames[i, index[c * ROW + SURFACE_FRAME]], index[c * ROW + SIDE]
             outwards(at, n, v, place, side, out)
@@ -204,7 +205,7 @@ def touch_natively(facets, reading, laws, inputs, felt):
             spring(plain, row, max(push, 0.0), drag, show, g, solref[i, k], friction[i, k])
             if push == 0.0 and depth <= 0.0:
                 continue
-            touching[i] |= live[i, c]
+            touching[i] |= live[i, c] and touches(depth, push, row)
             out[PUSH], out[DRAG] = push, drag
             for j in range(3):
                 out[POINT + j], out[NORM + j] = said[POS + j], said[NORMAL + j]

@@ -251,6 +251,14 @@ def _ringing(x, v, dt, p, memory, q, rate, held):
     return force, memory, q, rate
 
 
+@njit(cache=True)
+def touches(depth, push, p):
+    """Whether surfaces touch at a ``depth`` [m] with a force ``push`` [N]; a frame whose reaction
+    is read rings on when they have parted.
+    """
+    return depth > p[OFFSET] or (push != 0.0 and p[REACTION] == 0.0)
+
+
 Pair = tuple[float, float]
 PHASES = 400  # of the half sine: midpoints, error of order 1/PHASES^2
 ROUNDS, SAME = 60, 1e-9  # of the iteration for w; relative change at which it has converged

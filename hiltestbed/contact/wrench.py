@@ -16,7 +16,7 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.geometry import ACTIVE, PASSIVE, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, meet
-from hiltestbed.contact.law import contact_force
+from hiltestbed.contact.law import contact_force, touches
 from hiltestbed.contact.parameters import (
     BLUNT,
     DAMPING,
@@ -154,7 +154,7 @@ def surface_wrench(geometry, laws, frames, met, f, wrench):
     for c in range(met.depth.shape[0]):
         depth, slip = met.depth[c], met.slip[c]
         push, drag = law_of(dt, least_creep, p[c], state[c], depth, met.rate[c], slip)
-        touching |= depth > p[c, OFFSET] or push != 0.0
+        touching |= touches(depth, push, p[c])
         if push != 0.0:
             frame, side = frames[index[c * ROW + SURFACE_FRAME]], index[c * ROW + SIDE]
             add_contact(push, drag, met.point[c], met.normal[c], slip, frame, side, f, wrench)

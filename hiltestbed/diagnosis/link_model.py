@@ -479,8 +479,9 @@ class LinkModel(Model):
                 outside += float(np.sum(((a - b) * weight)[~inside] ** 2))
                 outside += float(np.sum(np.abs(more - less) * weight**2))
             allowed = self._model_differs() ** 2 * whole
-            shares = np.divide(changed, allowed, out=np.zeros(2), where=changed > 0.0)
-            out[k] = math.sqrt(max(*shares, outside / float(chi2.isf(ALLOWED, 1))))
+            some = np.stack([changed, allowed])[:, changed > 0.0]
+            shares = np.divide(*some, out=np.full(some.shape[1], np.inf), where=some[1] > 0.0)
+            out[k] = math.sqrt(max(*shares, outside / float(chi2.isf(ALLOWED, 1)), 0.0))
         return out
 
     def _moments_of(self, effects: Effects, shown: Sequence[Array]) -> list[tuple[Array, Any]]:
