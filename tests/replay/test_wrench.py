@@ -15,6 +15,7 @@ from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.replay import replay_wrench
 from hiltestbed.scenario import Scenario
+from hiltestbed.simulation import simulate
 from tests.effects.examples import example
 from tests.replay.recorded import Recorded, felt, lane, readings, record, scenario
 
@@ -105,6 +106,19 @@ def test_a_soft_frame_that_rings_on_does_not_touch_what_is_apart() -> None:
     frame = {"kind": "frame.mode", "frequency": 10.0, "damping_ratio": 0.03, "mass": 5.0}
     recorded = record([scenario("bumper", changes={"effects": [frame], "duration": 1.0})])
     assert errors(recorded, readings(recorded)).max() < SOLVED
+
+
+def test_a_frame_whose_reaction_is_read_rings_on_when_the_surfaces_have_parted() -> None:
+    frame = {"kind": "frame.mode", "frequency": 10.0, "damping_ratio": 0.03, "mass": 5.0}
+    s = scenario("bumper", changes={"effects": [frame], "duration": 1.0})
+    read = tuple(e.read_as({"reads": "reaction"}) for e in s.effects)
+    trace = simulate([s.model_copy(update={"effects": read})], trace=True).trace
+    assert trace is not None
+    shown = trace.run(0)
+    apart = ~shown.contact
+    apart[: int(np.argmax(shown.contact))] = False
+    assert apart.any()
+    assert np.abs(shown["wrench_true"][apart, 2]).max() > 1.0
 
 
 def test_every_effect_of_the_sensor_and_of_the_record_acts_in_the_replay_as_in_the_loop() -> None:
