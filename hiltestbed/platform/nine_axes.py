@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -257,9 +256,6 @@ class NineAxes:
     ) -> None:
         n, self.tick = len(parameters.start), parameters.runs.tick
         self.lower, self.upper = lower, MovingUpper(parameters, nthread)
-        self.contacts, self.causes, self.diverged = lower.contacts, lower.causes, lower.diverged
-        self.contact_now = lower.contact_now
-        self.slider_cmd, self.slider_act = lower.slider_cmd, lower.slider_act
         self.upper_cmd, self.upper_act = self.upper.motion.sliders.copy(), np.zeros((n, 3))
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
         self.wrench_sub = np.zeros_like(lower.wrench_sub)
@@ -278,15 +274,6 @@ class NineAxes:
             (lower.pose_act, lower.twist_act, lower.wrench_sub),
             (self.pose_act, self.twist_act, self.wrench_sub),
         )
-
-    @property
-    def model(self) -> mujoco.MjModel:
-        """The lower platform's model, which is the one stepped while the ports touch."""
-        return self.lower.model
-
-    def bare_steps(self, count: int) -> None:
-        """``count`` steps of the lower platform."""
-        self.lower.bare_steps(count)
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at the relative ``pose`` (n, 7), moving with ``twist`` (n, 6)."""
@@ -319,10 +306,10 @@ class NineAxes:
         """
         upper, lower = self.upper, self.lower
         self._left[:] = upper.residual[:, -1]
-        if upper.advance(pose_cmd, self.diverged):
-            for i in np.flatnonzero(self.diverged):
-                self.causes[i] = (
-                    self.causes[i] or "the upper platform moves faster than 1000 m/s or rad/s"
+        if upper.advance(pose_cmd, lower.diverged):
+            for i in np.flatnonzero(lower.diverged):
+                lower.causes[i] = (
+                    lower.causes[i] or "the upper platform moves faster than 1000 m/s or rad/s"
                 )
         self._commanded.on(pose_cmd, twist_cmd, accel_cmd)()
         lower.begin(self._command.pose, self._command.twist, self._command.accel)
