@@ -6,7 +6,7 @@ A tick: ``aim`` solves for the joints at the command and plans the references ov
 inputs. The control law of a drive is defined by the subclass.
 
 The relative pose is that of A in P. If the passive side is fixed, P is W, and one tool follows the
-command. A facility that moves both sides overrides the kernel of :meth:`Drives.allocate`.
+command. A facility that moves both sides overrides :meth:`Drives.allocate`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import GIVEN, Call, bound
+from hiltestbed.compiled.bound import Call, bound
 from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_step
@@ -63,47 +63,37 @@ class Targets(NamedTuple):
 
 @njit(cache=True)
 def _aim(tree, w, cycles, targets, plan):
-    """Plan a tick; at the start of a cycle solve for joints, rates and weights."""
-    k = plan.ticks[0]
+    """Plan a tick; at the start of a cycle solve for joints and rates, every few cycles weights."""
+    k, axes, (joints, nv) = (
+        plan.ticks[0],
+        targets.axes,
+        (plan.goal.shape[1], targets.rates.shape[1]),
+    )
+    tasks = 6 * targets.poses.shape[1] + targets.held.shape[1]
+    every, forces, square = np.empty((tasks, nv)), np.empty(nv), np.empty((joints, joints))
     for i in range(targets.poses.shape[0]):
-        if k < 0 or k % cycles.length[i] == 0:
-            _solve(tree, w, cycles, targets, plan, i)
+        cycle = cycles.length[i]
+        if k < 0 or k % cycle == 0:
+            q, rate = targets.qs[i], targets.rates[i]
+            if k >= 0:
+                shift(tree, q, rate, cycles.tick * cycle)
+            targets.missed[i] = newton(
+                tree, q, targets.poses[i], targets.held[i], w, SOLVED, PER_TICK
+            )
+            rates(tree, w, targets.twists[i], targets.held_rates[i], rate)
+            for j in range(joints):
+                plan.goal[i, j] = q[axes[0, j]]
+                plan.leave[i, j] = rate[axes[1, j]]
+            if k < 0 or (k // cycle) % WEIGHED == 0:
+                ways(tree, w, every)
+                weights(tree, targets.gravity, w, forces)
+                drive_forces(every, axes[1], forces, square, targets.load[i])
             if k >= 0:
                 sample(cycles, plan, i)
         if k >= 0:
             plan_tick(cycles, plan, i)
     if k >= 0:
         plan.ticks[0] = k + 1
-
-
-@njit(cache=True)
-def _solve(tree, w, cycles, targets, plan, i):
-    """One run at the start of a cycle: joints, their rates, and every few cycles the weight."""
-    k, cycle, axes = plan.ticks[0], cycles.length[i], targets.axes
-    q, rate, poses, held = targets.qs[i], targets.rates[i], targets.poses[i], targets.held[i]
-    if k >= 0:
-        shift(tree, q, rate, cycles.tick * cycle)
-    targets.missed[i] = newton(tree, q, poses, held, w, SOLVED, PER_TICK)
-    rates(tree, w, targets.twists[i], targets.held_rates[i], rate)
-    for j in range(plan.goal.shape[1]):
-        plan.goal[i, j] = q[axes[0, j]]
-        plan.leave[i, j] = rate[axes[1, j]]
-    if k < 0 or (k // cycle) % WEIGHED == 0:
-        joints, nv = plan.goal.shape[1], tree.armature.shape[0]
-        every, forces = np.empty((6 * poses.shape[0] + held.shape[0], nv)), np.empty(nv)
-        square = np.empty((joints, joints))
-        ways(tree, w, every)
-        weights(tree, targets.gravity, w, forces)
-        drive_forces(every, axes[1], forces, square, targets.load[i])
-
-
-@njit(cache=True)
-def _follow(pose, twist, accel, half, poses, twists):
-    for i in range(pose.shape[0]):
-        for c in range(7):
-            poses[i, 0, c] = pose[i, c]
-        for c in range(6):
-            twists[i, 0, c] = twist[i, c] + half * accel[i, c]
 
 
 class Drives(Mover):
@@ -168,11 +158,6 @@ class Drives(Mover):
     # kernel that writes the inputs: the number of the step, qpos, qvel, ctrl
     _pushed: Call
 
-    @cached_property
-    def _allocated(self) -> Call:
-        """The kernel of :meth:`allocate`: pose, twist, accel, half, and the arrays it writes."""
-        return Call(_follow, GIVEN, GIVEN, GIVEN, ..., self.poses, self.twists)
-
     def rest(self, qpos: Array, qvel: Array) -> None:
         """Initialise the drives' own state; ``qpos`` (n, nq) may deflect under the weight."""
         if self._friction:
@@ -225,7 +210,7 @@ class Drives(Mover):
         relative ``pose`` (n, 7) and the velocity ``half`` [s] after ``twist`` (n, 6), with
         ``accel`` (n, 6).
         """
-        self._allocated.on(pose, twist, accel)(half)
+        self.poses[:, 0], self.twists[:, 0] = pose, twist + half * accel
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
         """Initialise joints, references and drives in a uniform motion with ``twist`` (n, 6) whose

@@ -33,7 +33,7 @@ SLOWEST = 0.02
 # that is not singular
 LOOSEST = 100.0
 # prefixes of joints of the attached mechanisms, not of the facility
-MECHANISMS = ("active_", "passive_", "mount_", "payload_")
+MECHANISMS = ("active_", "passive_", "mount_")
 # in the loop, kernels call these
 _place, _move, _tool_pose, _tool_twist = map(Seldom, (place, move, tool_pose, tool_twist))
 _equations, _newton, _rates = map(Seldom, (equations, newton, rates))

@@ -1,5 +1,5 @@
-"""Measurements on the model of a rig with a payload, by default the bumper's active side; commands
-and wrenches refer to A, the tip of the mechanism.
+"""Measurements on the model of a rig with its mechanism; commands and wrenches refer to A, the tip
+of the mechanism.
 
 Response in six axes to sines, of the command and of a wrench at A, one run of a batch for each axis
 and frequency: a sine and a cosine are fitted by least squares over whole cycles after the

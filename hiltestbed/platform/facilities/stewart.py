@@ -33,7 +33,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -89,7 +89,7 @@ class Stewart(Facility):
         drives = (
             ForceServo(model, kinematics, runs, "drive")
             if self.settings.drive.kind == "electric"
-            else Hydraulic(model, kinematics, runs, STROKE)
+            else Hydraulic(model, kinematics, runs)
         )
         # the smallest mass that a leg moves: its rod and its drive
         leg = float(
@@ -116,8 +116,19 @@ class Stewart(Facility):
         return math.sqrt(drive.gain * w) / (2.0 * math.pi)
 
 
-# parameters of a leg; CORNER: the low-pass coefficient per step
-AREA, SUPPLY, FLOW, MODULUS, DEAD, LENGTH, LEAKAGE, FEEDBACK, CORNER, GAIN, ENCODER = range(11)
+# parameters of a leg, and the low-pass coefficient of the pressure feedback per step
+LEG = (
+    "area",
+    "supply",
+    "valve.flow",
+    "bulk_modulus",
+    "dead_volume",
+    "leakage",
+    "pressure_feedback",
+    "gain",
+    "encoder_resolution",
+)
+AREA, SUPPLY, FLOW, MODULUS, DEAD, LEAKAGE, FEEDBACK, GAIN, ENCODER, CORNER = range(10)
 SPOOL, SPOOL_RATE, PRESSURE, SLOW, TRIM, STATES = range(6)
 
 
@@ -125,7 +136,7 @@ class Legs(NamedTuple):
     """The legs of n runs.
 
     Attributes:
-        dt: [s]. feed: (n,). mass: (J, J). numbers: (n, 11). valve: (n, 2, 2) state transition of
+        dt: [s]. feed: (n,). mass: (J, J). numbers: (n, 10). valve: (n, 2, 2) state transition of
             the valve over a step. axes, inputs: addresses of joints and actuators; home: (J,).
             state: (n, J, STATES).
     """
@@ -164,7 +175,7 @@ def _push(legs, plan, sub, qpos, qvel, ctrl):
             opening = min(max(x[SPOOL], -1.0), 1.0)
             drop = 1.0 - math.copysign(x[PRESSURE], opening * x[PRESSURE]) / p[SUPPLY]
             flow = p[FLOW] * opening * math.sqrt(max(drop, 0.0))
-            half = 0.5 * p[LENGTH]
+            half = 0.5 * STROKE
             stiffness = p[MODULUS] * (
                 1.0 / (p[DEAD] + area * max(half + s, 0.0))
                 + 1.0 / (p[DEAD] + area * max(half - s, 0.0))
@@ -182,18 +193,6 @@ def _opening(flow: Array, pressure: Array, p: Array) -> Array:
     return flow / (p[FLOW] * np.sqrt(np.maximum(drop, 1e-6)))
 
 
-def held_over(bandwidth: float, damping_ratio: float, dt: float) -> Array:
-    """``(2, 2)`` state transition of error and rate of x'' = w^2 (u - x) - 2 zeta w x' over ``dt``
-    [s] with constant u.
-    """
-    from scipy.linalg import expm
-
-    w = 2.0 * math.pi * bandwidth
-    return np.asarray(
-        expm(np.array([[0.0, 1.0], [-w * w, -2.0 * damping_ratio * w]]) * dt), dtype=float
-    )
-
-
 class Hydraulic(Drives):
     """Hydraulic drives of `n` runs.
 
@@ -202,16 +201,21 @@ class Hydraulic(Drives):
             part [Pa], trim of the valve [-].
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs, stroke: float
-    ) -> None:
-        """``stroke`` [m]; the settings have a section ``drive``."""
+    def __init__(self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs) -> None:
+        """The settings of each run have a section ``drive``."""
+        from scipy.linalg import expm
+
         super().__init__(model, kinematics, runs)
         drives = [s.drive for s in runs.settings]
-        numbers = np.array([_numbers(d, stroke, self.step) for d in drives])
+        corners = [1.0 - math.exp(-2.0 * math.pi * d.feedback_corner * self.step) for d in drives]
+        numbers = np.column_stack([*(runs.numbers(f"drive.{name}") for name in LEG), corners])
         self.encoder = numbers[:, ENCODER]
         self.cylinders = np.zeros((*self.load.shape, STATES))
-        valves = [held_over(d.valve.bandwidth, d.valve.damping_ratio, self.step) for d in drives]
+        valves = []
+        for valve in (d.valve for d in drives):
+            w = 2.0 * math.pi * valve.bandwidth
+            law = np.array([[0.0, 1.0], [-w * w, -2.0 * valve.damping_ratio * w]])
+            valves.append(expm(law * self.step))
         self._legs = Legs(
             dt=self.step,
             feed=self.cycles.feed,
@@ -240,21 +244,3 @@ class Hydraulic(Drives):
 
     def feedback(self) -> Array:
         return self.cylinders.reshape(len(self.cylinders), -1)
-
-
-def _numbers(drive: Any, stroke: float, step: float) -> list[float]:
-    """Parameters of a leg, in the order of the constants."""
-    corner = 1.0 - math.exp(-2.0 * math.pi * drive.feedback_corner * step)
-    return [
-        drive.area,
-        drive.supply,
-        drive.valve.flow,
-        drive.bulk_modulus,
-        drive.dead_volume,
-        stroke,
-        drive.leakage,
-        drive.pressure_feedback,
-        corner,
-        drive.gain,
-        drive.encoder_resolution,
-    ]

@@ -25,6 +25,7 @@ from hiltestbed.contact.composition import add_passive, drawn
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.contact.settings import Mechanism
 from hiltestbed.frames import Array, rotate_back, twist_between
+from hiltestbed.platform.driven import SPEED_LIMIT
 from hiltestbed.platform.facilities.composed import carried_load
 from hiltestbed.platform.facilities.facility import Runs, compiled
 from hiltestbed.platform.facilities.limbs import invert, jacobian, limb_forces, slider
@@ -36,7 +37,6 @@ from hiltestbed.platform.shipped.pss33 import Pss33
 MOVED_PER_DRIVE = 240.0  # [kg] a third of platform, payload and links, carriage and armature
 # [Hz] of the position loop, critically damped: longer limbs than the lower platform's
 BANDWIDTH = 25.0
-SPEED_LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
 
 
 def add_upper_passive(spec: mujoco.MjSpec, mechanism: Mechanism, prefix: str = "") -> None:
