@@ -74,6 +74,7 @@ class Plant:
             lower = IdealTracking(parameters, nthread, force)
         else:
             lower = ServoTracking(parameters, nthread, late, force)
+        self._driven = lower if isinstance(lower, ServoTracking) else None
         above = None if parameters.upper is None else NineAxes(parameters, lower, nthread)
         tracking = lower if above is None else above
         self.units, self._lower, self._above, self._tracking = lower.units, lower, above, tracking
@@ -118,11 +119,11 @@ class Plant:
 
     def joint_limit_passed(self) -> bool:
         """Whether a joint has exceeded a limit of its facility, or a command its reach."""
-        return self._lower.joint_limit_passed()
+        return self._driven is not None and self._driven.joint_limit_passed()
 
     def joint_limit(self, i: int) -> str | None:
         """The limit that run ``i`` has exceeded, in words; None if there is none."""
-        return self._lower.joint_limit(i)
+        return self._driven.joint_limit(i) if self._driven else None
 
     def payload_left(self, i: int) -> dict[str, float] | None:
         """Residual of a moving passive side's load in the reading of run ``i``, or None."""

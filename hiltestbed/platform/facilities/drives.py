@@ -64,11 +64,7 @@ class Targets(NamedTuple):
 @njit(cache=True)
 def _aim(tree, w, cycles, targets, plan):
     """Plan a tick; at the start of a cycle solve for joints and rates, every few cycles weights."""
-    k, axes, (joints, nv) = (
-        plan.ticks[0],
-        targets.axes,
-        (plan.goal.shape[1], targets.rates.shape[1]),
-    )
+    k, axes, joints, nv = plan.ticks[0], targets.axes, plan.goal.shape[1], targets.rates.shape[1]
     tasks = 6 * targets.poses.shape[1] + targets.held.shape[1]
     every, forces, square = np.empty((tasks, nv)), np.empty(nv), np.empty((joints, joints))
     for i in range(targets.poses.shape[0]):
@@ -116,10 +112,10 @@ class Drives(Mover):
             np.array([c.delay_cycles for c in commands], dtype=np.int64),
             np.asarray(runs.feed, dtype=bool),
         )
-        self._axes, self._home = self.readings.axes, self.readings.home
+        self._home = kinematics.joints_home
         tools, held = len(kinematics.tools), len(kinematics.prescribed)
         self.targets = Targets(
-            axes=self._axes,
+            axes=self.axes,
             gravity=np.array(model.opt.gravity, dtype=float),
             poses=np.tile(UPRIGHT, (n, tools, 1)),
             twists=np.zeros((n, tools, 6)),
@@ -189,7 +185,7 @@ class Drives(Mover):
                 laws[:, None] * scaled,
                 presliding * part,
                 moved,
-                self._axes[1],
+                self.axes[1],
                 self._inputs,
                 self.step,
             )

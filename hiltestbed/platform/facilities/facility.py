@@ -78,17 +78,6 @@ class PortMotion(NamedTuple):
     twist: Array
 
 
-class Readings(NamedTuple):
-    """Driven joints: axes (2, J) addresses of their positions and rates, home (J,), and the
-    readings (n, J) of positions, from home, and of rates.
-    """
-
-    axes: NDArray[np.int64]
-    home: Array
-    joints: Array
-    rates: Array
-
-
 class Mover:
     """The moving ports of `n` runs; all arrays are updated in place.
 
@@ -98,6 +87,7 @@ class Mover:
         joints, joint_rates: (n, J) of the driven joints, actual, from home. reference: (n, J)
             commanded, from home.
         missed: (n,) distance by which the last command was out of the facility's reach [m, rad].
+        axes: (2, J) addresses of the driven joints' positions and rates.
     """
 
     writes: ClassVar[str] = "ctrl"  # field of MuJoCo's data that `push` writes
@@ -112,12 +102,7 @@ class Mover:
         self.place_A, self.motion_A, self.place_P, self.motion_P, self.pose, self.twist = self.sides
         self.joints, self.joint_rates, self.reference = (np.zeros((n, joints)) for _ in range(3))
         self.missed = np.zeros(n)
-        self.readings = Readings(
-            np.array([kinematics.q, kinematics.v]),
-            kinematics.joints_home,
-            self.joints,
-            self.joint_rates,
-        )
+        self.axes = np.array([kinematics.q, kinematics.v])
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
         """Initialise joints and drives in a uniform motion of A through ``pose`` (n, 7) with
@@ -138,8 +123,8 @@ class Mover:
     @cached_property
     def _seen(self) -> Call:
         tree = self.kinematics.tree.towards_tools()
-        parts = tree, scratch(tree), self.readings, self.sides
-        return Call(_observe, *parts, *(GIVEN,) * 4)
+        readings = self.axes, self.kinematics.joints_home, self.joints, self.joint_rates
+        return Call(_observe, tree, scratch(tree), readings, self.sides, *(GIVEN,) * 4)
 
     def observing(
         self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]
@@ -155,7 +140,7 @@ def _observe(tree, w, readings, sides, qpos, qvel, limit, diverged):
     """With one tool P is W. A run has diverged if a joint rate reaches ``limit``, or a position or
     rate is not finite.
     """
-    lost, speed = False, np.empty((1, 3))
+    (axes, home, joints, rates), speed, lost = readings, np.empty((1, 3)), False
     for i in range(qpos.shape[0]):
         bounded = not diverged[i]
         for rate in qvel[i]:
@@ -177,9 +162,9 @@ def _observe(tree, w, readings, sides, qpos, qvel, limit, diverged):
             tool_twist(tree, w, 1, motion_P)
             pose, twist = sides.pose[i], sides.twist[i]
             relate_one(place_A, motion_A, place_P, motion_P, pose, twist, speed)
-        for j in range(readings.home.shape[0]):
-            readings.joints[i, j] = qpos[i, readings.axes[0, j]] - readings.home[j]
-            readings.rates[i, j] = qvel[i, readings.axes[1, j]]
+        for j in range(home.shape[0]):
+            joints[i, j] = qpos[i, axes[0, j]] - home[j]
+            rates[i, j] = qvel[i, axes[1, j]]
     return lost
 
 

@@ -222,7 +222,7 @@ class Hydraulic(Drives):
             mass=np.ascontiguousarray(mass_matrix(kinematics, model)),
             numbers=numbers,
             valve=np.array(valves),
-            axes=self._axes,
+            axes=self.axes,
             inputs=self._inputs,
             home=self._home,
             state=self.cylinders,
@@ -232,7 +232,7 @@ class Hydraulic(Drives):
         p = self._legs.numbers.T[..., None]
         pressure = self.load / p[AREA]
         flow = p[LEAKAGE] * pressure
-        moving = flow + p[AREA] * qvel[:, self._axes[1]]
+        moving = flow + p[AREA] * qvel[:, self.axes[1]]
         x = np.moveaxis(self.cylinders, 2, 0)
         x[PRESSURE], x[SLOW], x[SPOOL_RATE] = pressure, pressure, 0.0
         x[TRIM], x[SPOOL] = _opening(flow, pressure, p), _opening(moving, pressure, p)
