@@ -27,7 +27,7 @@ from hiltestbed.platform.facilities.facility import UPRIGHT, Mover, Runs
 from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.facilities.motion import drive_forces, scratch, weights
 from hiltestbed.platform.facilities.newton import newton, rates, shift, ways
-from hiltestbed.platform.facilities.reference import Cycles, TickPlan, plan_tick, sample
+from hiltestbed.platform.facilities.reference import TickPlan, plan_tick, sample
 from hiltestbed.platform.friction import DriveFriction
 
 # Newton steps per tick; one suffices for motion, the others are for a command that jumps
@@ -62,17 +62,17 @@ class Targets(NamedTuple):
 
 
 @njit(cache=True)
-def _aim(tree, w, cycles, targets, plan):
+def _aim(tree, w, targets, plan):
     """Plan a tick; at the start of a cycle solve for joints and rates, every few cycles weights."""
     k, axes, joints, nv = plan.ticks[0], targets.axes, plan.goal.shape[1], targets.rates.shape[1]
     tasks = 6 * targets.poses.shape[1] + targets.held.shape[1]
     every, forces, square = np.empty((tasks, nv)), np.empty(nv), np.empty((joints, joints))
     for i in range(targets.poses.shape[0]):
-        cycle = cycles.length[i]
+        cycle = plan.length[i]
         if k < 0 or k % cycle == 0:
             q, rate = targets.qs[i], targets.rates[i]
             if k >= 0:
-                shift(tree, q, rate, cycles.tick * cycle)
+                shift(tree, q, rate, plan.tick * cycle)
             targets.missed[i] = newton(
                 tree, q, targets.poses[i], targets.held[i], w, SOLVED, PER_TICK
             )
@@ -85,9 +85,9 @@ def _aim(tree, w, cycles, targets, plan):
                 weights(tree, targets.gravity, w, forces)
                 drive_forces(every, axes[1], forces, square, targets.load[i])
             if k >= 0:
-                sample(cycles, plan, i)
+                sample(plan, i)
         if k >= 0:
-            plan_tick(cycles, plan, i)
+            plan_tick(plan, i)
     if k >= 0:
         plan.ticks[0] = k + 1
 
@@ -97,7 +97,7 @@ class Drives(Mover):
 
     Attributes, at t_k:
         load: (n, J) gravity load on the drives at the command [N, N m]; in targets.
-        cycles, plan: of the controller, and its references.
+        plan: the controller's references.
         encoder: (n,) resolution of the encoders.
     """
 
@@ -106,12 +106,6 @@ class Drives(Mover):
         n, joints = self.joints.shape
         self.tick, self.step = runs.tick, runs.step
         commands = [s.command for s in runs.settings]
-        self.cycles = Cycles(
-            runs.tick,
-            np.array([c.cycle(1.0 / runs.tick) for c in commands], dtype=np.int64),
-            np.array([c.delay_cycles for c in commands], dtype=np.int64),
-            np.asarray(runs.feed, dtype=bool),
-        )
         self._home = kinematics.joints_home
         tools, held = len(kinematics.tools), len(kinematics.prescribed)
         self.targets = Targets(
@@ -126,11 +120,16 @@ class Drives(Mover):
             load=np.zeros((n, joints)),
             missed=np.zeros(n),
         )
+        late = np.array([c.delay_cycles for c in commands], dtype=np.int64)
         self.plan = TickPlan(
+            tick=runs.tick,
+            length=np.array([c.cycle(1.0 / runs.tick) for c in commands], dtype=np.int64),
+            late=late,
+            feed=np.asarray(runs.feed, dtype=bool),
             ticks=np.zeros(1, dtype=np.int64),
             goal=np.tile(self._home, (n, 1)),
             leave=np.zeros((n, joints)),
-            ring=np.zeros((n, int(self.cycles.late.max(initial=0)) + 1, 2, joints)),
+            ring=np.zeros((n, int(late.max(initial=0)) + 1, 2, joints)),
             span=np.zeros((n, 2, 2, joints)),
             reference=np.tile(self._home, (n, 1)),
             velocity=np.zeros((n, joints)),
@@ -228,13 +227,13 @@ class Drives(Mover):
             )
             self.targets.qs[i] = qpos[i]
         self._solve_alone()
-        plan, cycles = self.plan, self.cycles
+        plan = self.plan
         plan.reference[:] = plan.goal
-        plan.velocity[:] = np.where(cycles.feed[:, None], plan.leave, 0.0)
+        plan.velocity[:] = np.where(plan.feed[:, None], plan.leave, 0.0)
         plan.span[:, :, 0], plan.span[:, :, 1] = plan.goal[:, None], plan.leave[:, None]
         slots = plan.ring.shape[1]
         for back in range(1, slots):  # commands that are still delayed
-            ahead = self.tick * cycles.length * (cycles.late + 1 - back)
+            ahead = self.tick * plan.length * (plan.late + 1 - back)
             plan.ring[:, -back % slots, 0] = plan.goal + plan.leave * ahead[:, None]
             plan.ring[:, -back % slots, 1] = plan.leave
         self.rest(qpos, qvel)
@@ -243,14 +242,14 @@ class Drives(Mover):
     @property
     def lag(self) -> Array:
         """(n,) lag of each controller [s]: its cycle less a tick, and its delay in cycles."""
-        cycles = self.cycles
-        return np.asarray(self.tick * (cycles.length * (cycles.late + 1) - 1), dtype=float)
+        plan = self.plan
+        return np.asarray(self.tick * (plan.length * (plan.late + 1) - 1), dtype=float)
 
     @cached_property
     def _solve(self) -> Callable[[], None]:
         """The plan of a tick, once the tools' poses and twists are written."""
         tree = self.kinematics.tree
-        return bound(_aim, tree, scratch(tree), self.cycles, self.targets, self.plan)
+        return bound(_aim, tree, scratch(tree), self.targets, self.plan)
 
     def _solve_alone(self) -> None:
         """Joints and rates at the tools' poses and twists, without a plan."""

@@ -217,13 +217,9 @@ class Facility(ABC):
         return self.kind
 
     @cached_property
-    def _bare_model(self) -> mujoco.MjModel:
-        return compiled(self.spec())
-
-    @cached_property
     def bare(self) -> Kinematics:
         """Geometry of the facility without a mechanism, for checks before a run."""
-        return self.kinematics(self._bare_model)
+        return self.kinematics(compiled(self.spec()))
 
     @property
     def tool_shares(self) -> tuple[float, ...]:

@@ -33,11 +33,9 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable
 from functools import cached_property
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
@@ -132,38 +130,22 @@ AREA, SUPPLY, FLOW, MODULUS, DEAD, LEAKAGE, FEEDBACK, GAIN, ENCODER, CORNER = ra
 SPOOL, SPOOL_RATE, PRESSURE, SLOW, TRIM, STATES = range(6)
 
 
-class Legs(NamedTuple):
-    """The legs of n runs.
-
-    Attributes:
-        dt: [s]. feed: (n,). mass: (J, J). numbers: (n, 10). valve: (n, 2, 2) state transition of
-            the valve over a step. axes, inputs: addresses of joints and actuators; home: (J,).
-            state: (n, J, STATES).
-    """
-
-    dt: float
-    feed: NDArray[np.bool_]
-    mass: Array
-    numbers: Array
-    valve: Array
-    axes: NDArray[np.int64]
-    inputs: NDArray[np.int64]
-    home: Array
-    state: Array
-
-
 @njit(cache=True)
-def _push(legs, plan, sub, qpos, qvel, ctrl):
-    dt, mass, axes, home, valve = legs.dt, legs.mass, legs.axes, legs.home, legs.valve
+def _push(legs, parameters, state, plan, sub, qpos, qvel, ctrl):
+    """legs: step [s], mass (J, J), addresses of joints and actuators, home (J,). parameters: those
+    of the legs (n, 10), state transition of the valve over a step (n, 2, 2), feed-forward (n,).
+    state: (n, J, STATES).
+    """
+    (dt, mass, axes, inputs, home), (numbers, valve, feed) = legs, parameters
     joints = mass.shape[0]
     for i in range(qpos.shape[0]):
-        p = legs.numbers[i]
+        p = numbers[i]
         area = p[AREA]
         for j in range(joints):
-            x, s, v = legs.state[i, j], qpos[i, axes[0, j]] - home[j], qvel[i, axes[1, j]]
+            x, s, v = state[i, j], qpos[i, axes[0, j]] - home[j], qvel[i, axes[1, j]]
             speed = p[GAIN] * (plan[i, sub, 0, j] - home[j] - quantised(s, p[ENCODER]))
             speed -= p[FEEDBACK] * (x[PRESSURE] - x[SLOW]) / area
-            if legs.feed[i]:
+            if feed[i]:
                 force = 0.0
                 for k in range(joints):
                     force += mass[j, k] * plan[i, sub, 2, k]
@@ -184,7 +166,7 @@ def _push(legs, plan, sub, qpos, qvel, ctrl):
                 1.0 + dt * stiffness * p[LEAKAGE]
             )
             x[SLOW] += (x[PRESSURE] - x[SLOW]) * p[CORNER]
-            ctrl[i, legs.inputs[j]] = area * x[PRESSURE]
+            ctrl[i, inputs[j]] = area * x[PRESSURE]
 
 
 def _opening(flow: Array, pressure: Array, p: Array) -> Array:
@@ -216,20 +198,11 @@ class Hydraulic(Drives):
             w = 2.0 * math.pi * valve.bandwidth
             law = np.array([[0.0, 1.0], [-w * w, -2.0 * valve.damping_ratio * w]])
             valves.append(expm(law * self.step))
-        self._legs = Legs(
-            dt=self.step,
-            feed=self.cycles.feed,
-            mass=np.ascontiguousarray(mass_matrix(kinematics, model)),
-            numbers=numbers,
-            valve=np.array(valves),
-            axes=self.axes,
-            inputs=self._inputs,
-            home=self._home,
-            state=self.cylinders,
-        )
+        self._numbers, self._valve = numbers, np.array(valves)
+        self._mass = np.ascontiguousarray(mass_matrix(kinematics, model))
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        p = self._legs.numbers.T[..., None]
+        p = self._numbers.T[..., None]
         pressure = self.load / p[AREA]
         flow = p[LEAKAGE] * pressure
         moving = flow + p[AREA] * qvel[:, self.axes[1]]
@@ -240,7 +213,10 @@ class Hydraulic(Drives):
 
     @cached_property
     def _pushed(self) -> Call:
-        return Call(_push, self._legs, self.plan.steps, ..., GIVEN, GIVEN, GIVEN)
+        legs = self.step, self._mass, self.axes, self._inputs, self._home
+        parameters = self._numbers, self._valve, self.plan.feed
+        given = self.cylinders, self.plan.steps, ..., GIVEN, GIVEN, GIVEN
+        return Call(_push, legs, parameters, *given)
 
     def feedback(self) -> Array:
         return self.cylinders.reshape(len(self.cylinders), -1)
