@@ -113,9 +113,10 @@ class Loop:
         self.monitor = build.monitor(scenarios) if any(s.monitoring for s in scenarios) else None
         self.dead_zone = build.dead_zone(scenarios)
         self.model = scenarios[0].numerical_model.start(scenarios)
+        rig, start = self.plant, approach_states(s.approach for s in scenarios)
         self.drive: Drive = (
-            FreeMotion(approach_states(s.approach for s in scenarios), self.plant)
-            if self.plant.physical
+            FreeMotion(start, rig.pose_act, rig.twist_act, rig.wrench_sub)
+            if rig.physical
             else build.drive(scenarios, self.model)
         )
         self.motion = build.motion_command(scenarios)

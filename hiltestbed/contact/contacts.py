@@ -122,7 +122,7 @@ class Contacts:
                 for at, wrench in zip(place, self._pull, strict=True):
                     to_frame(at, wrench.copy(), wrench)
         if self._pulls:
-            _centres(pose, self._arm, self._centre)
+            centres(pose, self._arm, self._centre)
             load_body(-1.0, self._pull, self._active, self._centre, self._applied)
         if self._pulls or mount.moves:
             np.add(self._pull, mount.balance, out=self._load)
@@ -135,7 +135,7 @@ class Contacts:
 
 
 @njit(cache=True)
-def _centres(pose, offset, out):
+def centres(pose, offset, out):
     """``out`` (n, 3) [m]: the position in W of a point at ``offset`` (3,) from A's origin, in A."""
     for i in range(pose.shape[0]):
         rotate(pose[i, 3:7], offset, out[i])

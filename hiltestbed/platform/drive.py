@@ -32,8 +32,9 @@ SPEED, ACCELERATION, ERROR, ERROR_RATE = 0, 1, 2, 3
 
 
 class Stretch(NamedTuple):
-    """An axis that does not reverse, from now on: the law (:func:`_law`) that it follows, its
-    position, speed and integral, and its command u + rate t.
+    """An axis that does not reverse, from now on: the linear law that it follows (w^2, 2 zeta w,
+    the constant force as a following error [m], 1/T_i, 1 if the controller's force is unlimited),
+    its position, speed and integral, and its command u + rate t.
     """
 
     law: tuple[float, float, float, float, float]
@@ -62,22 +63,6 @@ def _slide(now, t):
         v += vk
         q += qk
     return x, v, q
-
-
-@njit(cache=True)
-def _law(numbers, side, bound):
-    """The linear law of an axis that moves in direction ``side``, its drive force unlimited
-    (``bound`` 0) or at its upper or lower limit.
-
-    Returns: w^2, 2 zeta w, the constant force as a following error [m], 1/T_i, 1 if the
-        controller's force is unlimited.
-    """
-    stiffness = numbers[W] * numbers[W]
-    push = numbers[OFFSET] - side * numbers[FRICTION]
-    if bound != 0.0:
-        push += bound * numbers[LIMIT] / stiffness
-    damping, follows = 2.0 * numbers[ZETA] * numbers[W], 1.0 if bound == 0.0 else 0.0
-    return stiffness, damping, push, 1.0 / numbers[INTEGRAL], follows
 
 
 @njit(cache=True)
@@ -207,7 +192,11 @@ def drive_over(before, after, dt, numbers, state):
             left -= wait
             bound = _bound(u + rate * wait - x + q, most)
             continue
-        now = Stretch(_law(numbers, side, bound), x, v, q, u, rate)
+        push = numbers[OFFSET] - side * numbers[FRICTION]
+        if bound != 0.0:
+            push += bound * numbers[LIMIT] / (w * w)
+        follows = 1.0 if bound == 0.0 else 0.0
+        now = Stretch((w * w, 2.0 * zeta * w, push, integral, follows), x, v, q, u, rate)
         piece = min(longest, left)
         end = _slide(now, piece)
         stops = _falls(SPEED, now, 0.0, side, starts, piece, end) if dry else math.inf

@@ -18,7 +18,7 @@ from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.composed import (
     TOOL,
-    CarriedLoad,
+    carried_reading,
     facility_model,
     rest_reading,
     sensor_columns,
@@ -82,15 +82,13 @@ class ServoTracking:
         self.watch: Watch | None = None
         if (watched := parameters.watched) is not None:
             self.watch = Watch(facility.axes, mover.kinematics.joints_home, n, runs.tick, watched)
-        self.load = CarriedLoad(self.model, mover.kinematics.home) if self.moves_passive else None
         # state and contacts are read after every step
         self._stepwise = self.contacts.written or self.moves_passive
         bind = self.batch.bind
         self._qpos, self._qvel, self._time = bind("qpos"), bind("qvel"), bind("time")
         self._inputs, self._forces = bind(mover.writes), bind("qfrc_actuator")
         self._warmstart, self._history = bind("qacc_warmstart"), bind("history")
-        self._sensordata = bind("sensordata")
-        self._reading = self._sensordata[:, sensor_columns(self.model)]
+        sensordata = bind("sensordata")
         self._tare, self._all = self._rest_readings(), np.arange(n)
         self.pose_act, self.twist_act, self.slider_act = mover.pose, mover.twist, mover.joints
         self.slider_cmd = mover.reference
@@ -102,7 +100,24 @@ class ServoTracking:
         self._going: NDArray[np.intp] | None = None  # the runs that are stepped; None: all
         self._lost = False  # whether a run has just diverged
         self._seen = mover.observing(self._qpos, self._qvel, SPEED_LIMIT, self.diverged)
-        self._read_now = Call(_read_now, self._reading, self._tare, GIVEN, self.wrench_sub, ...)
+        self._read_now = (
+            carried_reading(
+                self.model,
+                mover.kinematics.home,
+                sensordata,
+                mover.place_P,
+                self.wrench_sub,
+            )
+            if self.moves_passive
+            else Call(
+                _read_now,
+                sensordata[:, sensor_columns(self.model)],
+                self._tare,
+                GIVEN,
+                self.wrench_sub,
+                ...,
+            )
+        )
         self._read_history = bound(_read_history, self._history, self._tare, self.wrench_sub)
         # pose and twist of A in W, and those of P if it moves
         self._sides = (self.pose_act, self.twist_act)
@@ -199,10 +214,7 @@ class ServoTracking:
 
     def _read(self, runs: NDArray[np.intp], sub: int) -> None:
         """Read the wrench of the last evaluation of the physics into substep ``sub``."""
-        if self.load is not None:
-            self.load.read(self._sensordata, self.mover.place_P, runs, self.wrench_sub, sub)
-        else:
-            self._read_now.on(runs)(sub)
+        self._read_now.on(runs)(sub)
 
     def _meet(self) -> bool:
         """Read the state and evaluate the contact; returns whether a run has just diverged."""

@@ -7,12 +7,11 @@ the tick that ends, so that the last one gives the force at t_(k+1) with the slo
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.jit import interpreted, njit
@@ -40,40 +39,28 @@ def _slope(pose_before, pose_now, h, twist):
         twist_between(pose_before[i], pose_now[i], h, twist[i])
 
 
-class PlacedBody(NamedTuple):
-    """A in MuJoCo: its pose (n, 7) at both ends of the tick, its twist (n, 6), positions within it
-    (n, m, 3); the pose written last (n, 7); positions and rates of all joints, and the addresses
-    (2,) of the free one.
-    """
-
-    before: Array
-    now: Array
-    twist: Array
-    along: Array
-    pose: Array
-    qpos: Array
-    qvel: Array
-    joint: NDArray[np.int64]
-
-
 @njit(cache=True)
 def _put(body, s, time, last, bent):
     """Write the pose of A ``time`` [s] after ``before``, at the end of substep ``s``, to ``pose``
     and MuJoCo's free joint (w-first, angular velocity in the body).
 
     If the platform deviates from the straight line (``bent``), its position is that in ``along``.
+
+    body: its pose (n, 7) at both ends of the tick, its twist (n, 6), positions within it (n, m, 3);
+    the pose written last (n, 7); positions and rates of all joints, and the addresses (2,) of the
+    free one.
     """
-    pose, twist, qpos, qvel = body.pose, body.twist, body.qpos, body.qvel
-    q, d = body.joint[0], body.joint[1]
+    before, now, twist, along, pose, qpos, qvel, joint = body
+    q, d = joint[0], joint[1]
     for i in range(pose.shape[0]):
         if last:
             for j in range(7):
-                pose[i, j] = body.now[i, j]
+                pose[i, j] = now[i, j]
         else:
-            pose_step(body.before[i], twist[i], time, pose[i])
+            pose_step(before[i], twist[i], time, pose[i])
         for j in range(3):
             if bent:
-                pose[i, j] = body.along[i, s - 1, j]
+                pose[i, j] = along[i, s - 1, j]
             qpos[i, q + j] = pose[i, j]
             qpos[i, q + 4 + j] = pose[i, 3 + j]
             qvel[i, d + j] = twist[i, j]
@@ -141,7 +128,7 @@ class IdealTracking:
         self._way: tuple[Array, Array] | None = None
         self._before, self._between = np.zeros((n, 7)), np.zeros((n, 7))
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
-        body = PlacedBody(
+        body = (
             self._before,
             self.pose_act,
             self.twist_act,
@@ -207,13 +194,6 @@ class IdealTracking:
         else:
             self._evaluate()
         self._conclude()
-
-    def joint_limit_passed(self) -> bool:
-        """Never: nothing is driven."""
-        return False
-
-    def joint_limit(self, i: int) -> None:
-        """None, likewise."""
 
     def bare_steps(self, count: int) -> None:
         """``count`` evaluations of the contact at the current pose."""

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -191,41 +190,28 @@ class MovingUpper:
         return drives.look(motion.away, diverged)
 
 
-class Commands(NamedTuple):
-    """The lower platform's commands in W of n runs.
-
-    Attributes:
-        was_home: (n,) whether the upper platform's coordinates were 0 at the start of the tick.
-            before (n, 7), slope (n, 6): the command of the last tick and its slope.
-        pose (n, 7), twist and accel (n, 6): the command of this one.
-    """
-
-    was_home: NDArray[np.bool_]
-    before: Array
-    slope: Array
-    pose: Array
-    twist: Array
-    accel: Array
-
-
 @njit(cache=True)
 def _command(h, upper, command, pose, twist, accel):
-    """The command in W for that of A in P; ``upper`` is at the end of the tick."""
-    x, before, slope = upper.x, command.before, command.slope
+    """The command in W for that of A in P; ``upper`` is at the end of the tick.
+
+    command: was_home (n,) whether the upper platform's coordinates were 0 at the start of the tick;
+    pose (n, 7) and slope (n, 6) of the last tick's command; pose, twist and accel of this one.
+    """
+    x, (was_home, before, slope, goal, speed, bend) = upper.x, command
     for i in range(pose.shape[0]):
         home = x[i, 0] == 0.0 and x[i, 1] == 0.0 and x[i, 2] == 0.0
-        if home and command.was_home[i]:
-            copied(pose[i], command.pose[i])
-            copied(twist[i], command.twist[i])
-            copied(accel[i], command.accel[i])
+        if home and was_home[i]:
+            copied(pose[i], goal[i])
+            copied(twist[i], speed[i])
+            copied(accel[i], bend[i])
         else:
-            pose_compose(upper.planned[i], pose[i], command.pose[i])
-            twist_between(before[i], command.pose[i], h, command.twist[i])
+            pose_compose(upper.planned[i], pose[i], goal[i])
+            twist_between(before[i], goal[i], h, speed[i])
             for j in range(6):
-                command.accel[i, j] = (command.twist[i, j] - slope[i, j]) / h
-        command.was_home[i] = home
-        copied(command.pose[i], before[i])
-        copied(command.twist[i], slope[i])
+                bend[i, j] = (speed[i, j] - slope[i, j]) / h
+        was_home[i] = home
+        copied(goal[i], before[i])
+        copied(speed[i], slope[i])
 
 
 @njit(cache=True)
@@ -257,16 +243,11 @@ class NineAxes:
     ) -> None:
         n, self.tick = len(parameters.start), parameters.runs.tick
         self.lower, self.upper = lower, MovingUpper(parameters, nthread)
-        self.contacts, self.causes, self.diverged = lower.contacts, lower.causes, lower.diverged
-        self.contact_now = lower.contact_now
-        self.slider_cmd, self.slider_act = lower.slider_cmd, lower.slider_act
         self.upper_cmd, self.upper_act = self.upper.motion.sliders.copy(), np.zeros((n, 3))
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
         self.wrench_sub = np.zeros_like(lower.wrench_sub)
         self._left = np.zeros((n, 6))  # residual of the payload in the reading at t_k
-        self._command = Commands(
-            np.zeros(n, dtype=bool), *(np.zeros((n, k)) for k in (7, 6, 7, 6, 6))
-        )
+        self._command = np.zeros(n, dtype=bool), *(np.zeros((n, k)) for k in (7, 6, 7, 6, 6))
         motion, ideal = self.upper.motion, isinstance(lower, IdealTracking)
         self._commanded = Call(_command, self.tick, motion, self._command, *(GIVEN,) * 3)
         self._joined = bound(
@@ -279,32 +260,23 @@ class NineAxes:
             (self.pose_act, self.twist_act, self.wrench_sub),
         )
 
-    @property
-    def model(self) -> mujoco.MjModel:
-        """The lower platform's model, which is the one stepped while the ports touch."""
-        return self.lower.model
-
-    def bare_steps(self, count: int) -> None:
-        """``count`` steps of the lower platform."""
-        self.lower.bare_steps(count)
-
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at the relative ``pose`` (n, 7), moving with ``twist`` (n, 6)."""
         self.upper.reset(pose, twist)
-        motion, command = self.upper.motion, self._command
+        motion, (was_home, start, slope, goal, *_) = self.upper.motion, self._command
         before, x, place_before = np.empty(7), np.zeros(3), np.empty(7)
         for i in range(len(pose)):
-            pose_compose(motion.planned[i], pose[i], command.before[i])
+            pose_compose(motion.planned[i], pose[i], start[i])
             pose_step(pose[i], twist[i], -self.tick, before)
             x[:] = motion.x[i] - self.tick * motion.rate[i]
             place(Upper.load().shape, x, place_before)
-            pose_compose(place_before, before, command.pose[i])
-            twist_between(command.pose[i], command.before[i], self.tick, command.slope[i])
-        command.was_home[:] = ~motion.away
-        command.slope[command.was_home] = twist[command.was_home]
+            pose_compose(place_before, before, goal[i])
+            twist_between(goal[i], start[i], self.tick, slope[i])
+        was_home[:] = ~motion.away
+        slope[was_home] = twist[was_home]
         for i in range(len(pose)):
-            self.lower.path.begin(i, command.before[i, :3], command.slope[i, :3])
-        self.lower.reset(command.before, command.slope)
+            self.lower.path.begin(i, start[i, :3], slope[i, :3])
+        self.lower.reset(start, slope)
         at_A, at_P = (self.lower.pose_act, self.lower.twist_act), (motion.reached, motion.twist)
         relate(*at_A, *at_P, self.pose_act, self.twist_act)
         self.wrench_sub[:] = self.lower.wrench_sub
@@ -319,13 +291,13 @@ class NineAxes:
         """
         upper, lower = self.upper, self.lower
         self._left[:] = upper.residual[:, -1]
-        if upper.advance(pose_cmd, self.diverged):
-            for i in np.flatnonzero(self.diverged):
-                self.causes[i] = (
-                    self.causes[i] or "the upper platform moves faster than 1000 m/s or rad/s"
+        if upper.advance(pose_cmd, lower.diverged):
+            for i in np.flatnonzero(lower.diverged):
+                lower.causes[i] = (
+                    lower.causes[i] or "the upper platform moves faster than 1000 m/s or rad/s"
                 )
         self._commanded.on(pose_cmd, twist_cmd, accel_cmd)()
-        lower.begin(self._command.pose, self._command.twist, self._command.accel)
+        lower.begin(*self._command[3:])
         np.add(lower.wrench_sub[:, -1], self._left, out=self.wrench_sub[:, -1])
 
     def finish(self) -> None:

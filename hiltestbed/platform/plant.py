@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -74,6 +74,7 @@ class Plant:
             lower = IdealTracking(parameters, nthread, force)
         else:
             lower = ServoTracking(parameters, nthread, late, force)
+        self._driven = lower if isinstance(lower, ServoTracking) else None
         above = None if parameters.upper is None else NineAxes(parameters, lower, nthread)
         tracking = lower if above is None else above
         self.units, self._lower, self._above, self._tracking = lower.units, lower, above, tracking
@@ -88,23 +89,23 @@ class Plant:
         self.pose_act: Array = tracking.pose_act
         self.twist_act: Array = tracking.twist_act
         self.wrench_sub: Array = tracking.wrench_sub
-        self.contact: NDArray[np.bool_] = tracking.contact_now
-        self.captured: NDArray[np.bool_] = tracking.contacts.latched
-        self.slider_cmd: Array = tracking.slider_cmd
-        self.slider_act: Array = tracking.slider_act
+        self.contact: NDArray[np.bool_] = lower.contact_now
+        self.captured: NDArray[np.bool_] = lower.contacts.latched
+        self.slider_cmd: Array = lower.slider_cmd
+        self.slider_act: Array = lower.slider_act
         still = np.zeros((n, 3))
         self.upper_cmd: Array = above.upper_cmd if above else still
         self.upper_act: Array = above.upper_act if above else still
-        self.diverged: NDArray[np.bool_] = tracking.diverged
+        self.diverged: NDArray[np.bool_] = lower.diverged
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The MuJoCo model that this plant steps."""
-        return self._tracking.model
+        """The MuJoCo model that this plant steps while the ports touch."""
+        return self._lower.model
 
     def contacts(self) -> Engagement:
         """Contact points and their forces; not of springs and dampers without friction."""
-        return self._tracking.contacts.engagement
+        return self._lower.contacts.engagement
 
     def watch(self, field: str, parts: int) -> Array:
         """A live view of a field of MuJoCo's data: (n, bodies, parts)."""
@@ -118,11 +119,11 @@ class Plant:
 
     def joint_limit_passed(self) -> bool:
         """Whether a joint has exceeded a limit of its facility, or a command its reach."""
-        return self._lower.joint_limit_passed()
+        return self._driven is not None and self._driven.joint_limit_passed()
 
     def joint_limit(self, i: int) -> str | None:
         """The limit that run ``i`` has exceeded, in words; None if there is none."""
-        return self._lower.joint_limit(i)
+        return self._driven.joint_limit(i) if self._driven else None
 
     def payload_left(self, i: int) -> dict[str, float] | None:
         """Residual of a moving passive side's load in the reading of run ``i``, or None."""
@@ -130,7 +131,7 @@ class Plant:
 
     def divergence(self, i: int) -> str:
         """Why run ``i`` diverged: the quantity and its value."""
-        return self._tracking.causes[i]
+        return self._lower.causes[i]
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at ``pose`` (n, 7) of A in P, approached uniformly with ``twist`` (n, 6)."""
@@ -140,7 +141,7 @@ class Plant:
 
     def bare_steps(self, count: int) -> None:
         """``count`` steps of the same physics alone: the reference for the loop's cost."""
-        self._tracking.bare_steps(count)
+        self._lower.bare_steps(count)
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """Start the tick from t_k to t_(k+1): ``pose_cmd`` (n, 7) is to be reached then, with
@@ -157,9 +158,9 @@ class Plant:
 
     def _conclude(self) -> None:
         if self._latch is not None:
-            self._latch.close(self._tracking.contacts.engagement)
+            self._latch.close(self.contacts())
         if self.phases is not None:
-            self.phases.look(self._tracking.contacts.engagement)
+            self.phases.look(self.contacts())
 
     def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """A whole tick: :meth:`begin` and :meth:`finish`."""
@@ -177,16 +178,6 @@ class Plant:
         self._conclude()
 
 
-class MovedBodies(Protocol):
-    """What is read of a plant whose bodies move freely: pose ``(n, 7)``, twist ``(n, 6)``, and the
-    wrench ``(n, substeps, 6)`` of each physics step.
-    """
-
-    pose_act: Array
-    twist_act: Array
-    wrench_sub: Array
-
-
 class FreeMotion:
     """The motion of `n` pairs of bodies: the recorded commanded pose is the actual one, the wrench
     used is the physical one.
@@ -194,16 +185,18 @@ class FreeMotion:
     That wrench is a view of the plant's array, which may be filled only after the tick has begun.
     """
 
-    def __init__(self, start: Array, plant: MovedBodies) -> None:
-        """``start``: (n, 13) initial pose and twist of A relative to P, in P."""
+    def __init__(self, start: Array, pose: Array, twist: Array, wrench_sub: Array) -> None:
+        """``start``: (n, 13) initial pose and twist of A relative to P, in P; then arrays of the
+        plant.
+        """
         self.pose: Array = start[:, :7].copy()
         self.twist: Array = start[:, 7:].copy()
-        self.wrench: Array = plant.wrench_sub[:, -1]
-        self._plant = plant
+        self.wrench: Array = wrench_sub[:, -1]
+        self._bodies = pose, twist
 
     def advance(self, measurement: Measurement) -> None:
         """Copy pose and twist of the bodies at t_k."""
-        self.pose[:], self.twist[:] = self._plant.pose_act, self._plant.twist_act
+        self.pose[:], self.twist[:] = self._bodies
 
 
 WRITERS = {

@@ -55,6 +55,7 @@ class RigFigures:
     def to_json(self) -> dict[str, Any]:
         """The contents of rig.json."""
         s, r = self.scenario, self.response
+        bands = [r.bandwidth(k) for k in range(6)]
         return {
             "name": s.name,
             "platform": resolved(s)["rig"]["platform"],
@@ -65,7 +66,9 @@ class RigFigures:
                 {"axis": w.axis, "low": w.low, "high": w.high, "unit": unit, "stops": list(w.stops)}
                 for w, unit in zip(self.reach, UNITS, strict=True)
             ],
-            "bandwidth": {a: _finite(r.bandwidth(k)) for k, a in enumerate(AXES)},
+            "bandwidth": {
+                a: b if math.isfinite(b) else None for a, b in zip(AXES, bands, strict=True)
+            },
             "delay": {a: r.delay(k) for k, a in enumerate(AXES)},
             "frequency_response": {
                 "frequency": r.frequency.tolist(),
@@ -177,27 +180,15 @@ def write_rig(figures: RigFigures, path: str | Path) -> Path:
 
 def _workspace(figures: RigFigures):
     figure, axes = new_figure(8.0, 3.2, ncols=2)
-    for panel, unit, reach in (
-        (axes[0], "m", figures.reach[:3]),
-        (axes[1], "deg", figures.reach[3:]),
-    ):
-        for k, w in enumerate(reach):
-            low, high = _shown(w, unit)
-            panel.barh(2 - k, high - low, left=low, height=0.5, color=f"C{k}")
-            for value, side in ((low, "right"), (high, "left")):
-                panel.annotate(
-                    f"{value:.3g}",
-                    (value, 2 - k),
-                    ha=side,
-                    va="center",
-                    fontsize=9,
-                    xytext=(-3 if side == "right" else 3, 0),
-                    textcoords="offset points",
-                )
-        panel.set_yticks([2, 1, 0], [w.axis for w in reach])
-        panel.axvline(0.0, color="0.4", lw=0.8)
+    halves = (axes[0], "m", figures.reach[:3]), (axes[1], "deg", figures.reach[3:])
+    for panel, unit, reach in halves:
+        low, high = np.array([_shown(w, unit) for w in reach]).T
+        bars = panel.barh([w.axis for w in reach], high - low, left=low, height=0.5, alpha=0.5)
+        ends = [f"{a:.3g} to {b:.3g}" for a, b in zip(low, high, strict=True)]
+        panel.bar_label(bars, ends, label_type="center", fontsize=9)
+        panel.invert_yaxis()
         panel.use_sticky_edges = False
-        panel.margins(x=0.2)
+        panel.axvline(0.0, color="0.4", lw=0.8)
         panel.set_xlabel(f"reach from home [{unit}]")
     return figure
 
@@ -264,7 +255,3 @@ def _shown(reach: Reach, unit: str) -> tuple[float, float]:
 
 def _by_axis(rows: Array) -> dict[str, list[float]]:
     return dict(zip(AXES, rows.tolist(), strict=True))
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hiltestbed.platform.facilities.composed import TOOL
 from hiltestbed.platform.facilities.measure import (
     dynamic_stiffness,
     frequency_response,
     modes,
 )
-from hiltestbed.platform.facilities.stand import TOOL, Stand
+from hiltestbed.platform.facilities.stand import Stand
 from hiltestbed.platform.facilities.stewart import ARMATURE, STROKE
 from tests.platform.halls import (
     arm,

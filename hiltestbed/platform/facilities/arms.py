@@ -189,6 +189,9 @@ class FacingArms(ElasticJoints):
         shares = self.runs.numbers("passive_share")
         return Call(_allocate, GIVEN, GIVEN, GIVEN, ..., shares, self.targets)
 
+    def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
+        self._allocated.on(pose, twist, accel)(half)
+
 
 class TwoArms(Facility):
     """The hall of ``models/two_arms`` with two arms of ``models/serial_arm``."""

@@ -61,6 +61,11 @@ class Bodies(Mover):
 
     writes: ClassVar[str] = "qfrc_applied"
 
+    @property
+    def moving(self) -> list[str]:
+        """The articles that move."""
+        return [side for side in SIDES if self.model.body(side).jntnum[0]]
+
     def rest(self, qpos: Array, qvel: Array) -> None:
         """Initialise the state of the articles' supports."""
 

@@ -12,7 +12,6 @@ import copy
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import copied, njit
@@ -109,31 +108,23 @@ def rest_reading(
     return np.array(data.sensordata[columns])
 
 
-class CarriedLoad:
-    """Load compensation of a sensor that moves with the passive side: weight and inertia of a rigid
-    load.
+def carried_reading(
+    model: mujoco.MjModel, home: Array, sensordata: Array, place: Array, wrench_sub: Array
+) -> Call:
+    """The kernel that writes the reading of a sensor that moves with the passive side, less weight
+    and inertia of its rigid load, from ``sensordata`` (n, .) to ``wrench_sub[runs, sub]``.
 
-    The load's wrench (:func:`hiltestbed.platform.facilities.motion.carry`) is computed
-    from an accelerometer and gyroscopes at the sensor.
+    The load's wrench (:func:`hiltestbed.platform.facilities.motion.carry`) is computed from an
+    accelerometer and gyroscopes at the sensor.
+
+    Args:
+        home: (nq,) joint positions at which P is at W's origin with W's attitude. place: (n, 7) of
+            P in W.
     """
-
-    def __init__(self, model: mujoco.MjModel, home: Array) -> None:
-        """``home`` (nq,): joint positions at which P is at W's origin with W's attitude."""
-        self.load = carried_load(model, home)
-        force = int(model.sensor("force").adr[0])
-        columns = np.array([int(model.sensor(name).adr[0]) for name, _ in LOAD_SENSORS])
-        self._read = Call(_read_carried, force, columns, self.load, GIVEN, GIVEN, GIVEN, GIVEN, ...)
-
-    def read(
-        self,
-        sensordata: Array,
-        attitude: Array,
-        runs: NDArray[np.intp],
-        wrench_sub: Array,
-        sub: int,
-    ) -> None:
-        """``wrench_sub[runs, sub]`` from ``sensordata`` (n, .); attitude: pose (n, 7) of P in W."""
-        self._read.on(sensordata, attitude, runs, wrench_sub)(sub)
+    force = int(model.sensor("force").adr[0])
+    columns = np.array([int(model.sensor(name).adr[0]) for name, _ in LOAD_SENSORS])
+    load = carried_load(model, home)
+    return Call(_read_carried, force, columns, load, sensordata, place, GIVEN, wrench_sub, ...)
 
 
 def carried_load(model: mujoco.MjModel, home: Array) -> Array:

@@ -6,7 +6,7 @@ A tick: ``aim`` solves for the joints at the command and plans the references ov
 inputs. The control law of a drive is defined by the subclass.
 
 The relative pose is that of A in P. If the passive side is fixed, P is W, and one tool follows the
-command. A facility that moves both sides overrides the kernel of :meth:`Drives.allocate`.
+command. A facility that moves both sides overrides :meth:`Drives.allocate`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import GIVEN, Call, bound
+from hiltestbed.compiled.bound import Call, bound
 from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_step
@@ -27,7 +27,7 @@ from hiltestbed.platform.facilities.facility import UPRIGHT, Mover, Runs
 from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.facilities.motion import drive_forces, scratch, weights
 from hiltestbed.platform.facilities.newton import newton, rates, shift, ways
-from hiltestbed.platform.facilities.reference import Cycles, TickPlan, plan_tick, sample
+from hiltestbed.platform.facilities.reference import TickPlan, plan_tick, sample
 from hiltestbed.platform.friction import DriveFriction
 
 # Newton steps per tick; one suffices for motion, the others are for a command that jumps
@@ -62,48 +62,34 @@ class Targets(NamedTuple):
 
 
 @njit(cache=True)
-def _aim(tree, w, cycles, targets, plan):
-    """Plan a tick; at the start of a cycle solve for joints, rates and weights."""
-    k = plan.ticks[0]
+def _aim(tree, w, targets, plan):
+    """Plan a tick; at the start of a cycle solve for joints and rates, every few cycles weights."""
+    k, axes, joints, nv = plan.ticks[0], targets.axes, plan.goal.shape[1], targets.rates.shape[1]
+    tasks = 6 * targets.poses.shape[1] + targets.held.shape[1]
+    every, forces, square = np.empty((tasks, nv)), np.empty(nv), np.empty((joints, joints))
     for i in range(targets.poses.shape[0]):
-        if k < 0 or k % cycles.length[i] == 0:
-            _solve(tree, w, cycles, targets, plan, i)
+        cycle = plan.length[i]
+        if k < 0 or k % cycle == 0:
+            q, rate = targets.qs[i], targets.rates[i]
             if k >= 0:
-                sample(cycles, plan, i)
+                shift(tree, q, rate, plan.tick * cycle)
+            targets.missed[i] = newton(
+                tree, q, targets.poses[i], targets.held[i], w, SOLVED, PER_TICK
+            )
+            rates(tree, w, targets.twists[i], targets.held_rates[i], rate)
+            for j in range(joints):
+                plan.goal[i, j] = q[axes[0, j]]
+                plan.leave[i, j] = rate[axes[1, j]]
+            if k < 0 or (k // cycle) % WEIGHED == 0:
+                ways(tree, w, every)
+                weights(tree, targets.gravity, w, forces)
+                drive_forces(every, axes[1], forces, square, targets.load[i])
+            if k >= 0:
+                sample(plan, i)
         if k >= 0:
-            plan_tick(cycles, plan, i)
+            plan_tick(plan, i)
     if k >= 0:
         plan.ticks[0] = k + 1
-
-
-@njit(cache=True)
-def _solve(tree, w, cycles, targets, plan, i):
-    """One run at the start of a cycle: joints, their rates, and every few cycles the weight."""
-    k, cycle, axes = plan.ticks[0], cycles.length[i], targets.axes
-    q, rate, poses, held = targets.qs[i], targets.rates[i], targets.poses[i], targets.held[i]
-    if k >= 0:
-        shift(tree, q, rate, cycles.tick * cycle)
-    targets.missed[i] = newton(tree, q, poses, held, w, SOLVED, PER_TICK)
-    rates(tree, w, targets.twists[i], targets.held_rates[i], rate)
-    for j in range(plan.goal.shape[1]):
-        plan.goal[i, j] = q[axes[0, j]]
-        plan.leave[i, j] = rate[axes[1, j]]
-    if k < 0 or (k // cycle) % WEIGHED == 0:
-        joints, nv = plan.goal.shape[1], tree.armature.shape[0]
-        every, forces = np.empty((6 * poses.shape[0] + held.shape[0], nv)), np.empty(nv)
-        square = np.empty((joints, joints))
-        ways(tree, w, every)
-        weights(tree, targets.gravity, w, forces)
-        drive_forces(every, axes[1], forces, square, targets.load[i])
-
-
-@njit(cache=True)
-def _follow(pose, twist, accel, half, poses, twists):
-    for i in range(pose.shape[0]):
-        for c in range(7):
-            poses[i, 0, c] = pose[i, c]
-        for c in range(6):
-            twists[i, 0, c] = twist[i, c] + half * accel[i, c]
 
 
 class Drives(Mover):
@@ -111,7 +97,7 @@ class Drives(Mover):
 
     Attributes, at t_k:
         load: (n, J) gravity load on the drives at the command [N, N m]; in targets.
-        cycles, plan: of the controller, and its references.
+        plan: the controller's references.
         encoder: (n,) resolution of the encoders.
     """
 
@@ -120,16 +106,10 @@ class Drives(Mover):
         n, joints = self.joints.shape
         self.tick, self.step = runs.tick, runs.step
         commands = [s.command for s in runs.settings]
-        self.cycles = Cycles(
-            runs.tick,
-            np.array([c.cycle(1.0 / runs.tick) for c in commands], dtype=np.int64),
-            np.array([c.delay_cycles for c in commands], dtype=np.int64),
-            np.asarray(runs.feed, dtype=bool),
-        )
-        self._axes, self._home = self.readings.axes, self.readings.home
+        self._home = kinematics.joints_home
         tools, held = len(kinematics.tools), len(kinematics.prescribed)
         self.targets = Targets(
-            axes=self._axes,
+            axes=self.axes,
             gravity=np.array(model.opt.gravity, dtype=float),
             poses=np.tile(UPRIGHT, (n, tools, 1)),
             twists=np.zeros((n, tools, 6)),
@@ -140,11 +120,16 @@ class Drives(Mover):
             load=np.zeros((n, joints)),
             missed=np.zeros(n),
         )
+        late = np.array([c.delay_cycles for c in commands], dtype=np.int64)
         self.plan = TickPlan(
+            tick=runs.tick,
+            length=np.array([c.cycle(1.0 / runs.tick) for c in commands], dtype=np.int64),
+            late=late,
+            feed=np.asarray(runs.feed, dtype=bool),
             ticks=np.zeros(1, dtype=np.int64),
             goal=np.tile(self._home, (n, 1)),
             leave=np.zeros((n, joints)),
-            ring=np.zeros((n, int(self.cycles.late.max(initial=0)) + 1, 2, joints)),
+            ring=np.zeros((n, int(late.max(initial=0)) + 1, 2, joints)),
             span=np.zeros((n, 2, 2, joints)),
             reference=np.tile(self._home, (n, 1)),
             velocity=np.zeros((n, joints)),
@@ -167,11 +152,6 @@ class Drives(Mover):
 
     # kernel that writes the inputs: the number of the step, qpos, qvel, ctrl
     _pushed: Call
-
-    @cached_property
-    def _allocated(self) -> Call:
-        """The kernel of :meth:`allocate`: pose, twist, accel, half, and the arrays it writes."""
-        return Call(_follow, GIVEN, GIVEN, GIVEN, ..., self.poses, self.twists)
 
     def rest(self, qpos: Array, qvel: Array) -> None:
         """Initialise the drives' own state; ``qpos`` (n, nq) may deflect under the weight."""
@@ -204,7 +184,7 @@ class Drives(Mover):
                 laws[:, None] * scaled,
                 presliding * part,
                 moved,
-                self._axes[1],
+                self.axes[1],
                 self._inputs,
                 self.step,
             )
@@ -225,7 +205,7 @@ class Drives(Mover):
         relative ``pose`` (n, 7) and the velocity ``half`` [s] after ``twist`` (n, 6), with
         ``accel`` (n, 6).
         """
-        self._allocated.on(pose, twist, accel)(half)
+        self.poses[:, 0], self.twists[:, 0] = pose, twist + half * accel
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
         """Initialise joints, references and drives in a uniform motion with ``twist`` (n, 6) whose
@@ -247,13 +227,13 @@ class Drives(Mover):
             )
             self.targets.qs[i] = qpos[i]
         self._solve_alone()
-        plan, cycles = self.plan, self.cycles
+        plan = self.plan
         plan.reference[:] = plan.goal
-        plan.velocity[:] = np.where(cycles.feed[:, None], plan.leave, 0.0)
+        plan.velocity[:] = np.where(plan.feed[:, None], plan.leave, 0.0)
         plan.span[:, :, 0], plan.span[:, :, 1] = plan.goal[:, None], plan.leave[:, None]
         slots = plan.ring.shape[1]
         for back in range(1, slots):  # commands that are still delayed
-            ahead = self.tick * cycles.length * (cycles.late + 1 - back)
+            ahead = self.tick * plan.length * (plan.late + 1 - back)
             plan.ring[:, -back % slots, 0] = plan.goal + plan.leave * ahead[:, None]
             plan.ring[:, -back % slots, 1] = plan.leave
         self.rest(qpos, qvel)
@@ -262,14 +242,14 @@ class Drives(Mover):
     @property
     def lag(self) -> Array:
         """(n,) lag of each controller [s]: its cycle less a tick, and its delay in cycles."""
-        cycles = self.cycles
-        return np.asarray(self.tick * (cycles.length * (cycles.late + 1) - 1), dtype=float)
+        plan = self.plan
+        return np.asarray(self.tick * (plan.length * (plan.late + 1) - 1), dtype=float)
 
     @cached_property
     def _solve(self) -> Callable[[], None]:
         """The plan of a tick, once the tools' poses and twists are written."""
         tree = self.kinematics.tree
-        return bound(_aim, tree, scratch(tree), self.cycles, self.targets, self.plan)
+        return bound(_aim, tree, scratch(tree), self.targets, self.plan)
 
     def _solve_alone(self) -> None:
         """Joints and rates at the tools' poses and twists, without a plan."""

@@ -30,7 +30,7 @@ from hiltestbed.contact.mount import CARRIER
 from hiltestbed.contact.wrench import relate_one
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.motion import move, place, placed, tool_pose, tool_twist
+from hiltestbed.platform.facilities.motion import move, place, scratch, tool_pose, tool_twist
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
 
 MOUNT = "mount"
@@ -78,17 +78,6 @@ class PortMotion(NamedTuple):
     twist: Array
 
 
-class Readings(NamedTuple):
-    """Driven joints: axes (2, J) addresses of their positions and rates, home (J,), and the
-    readings (n, J) of positions, from home, and of rates.
-    """
-
-    axes: NDArray[np.int64]
-    home: Array
-    joints: Array
-    rates: Array
-
-
 class Mover:
     """The moving ports of `n` runs; all arrays are updated in place.
 
@@ -98,6 +87,7 @@ class Mover:
         joints, joint_rates: (n, J) of the driven joints, actual, from home. reference: (n, J)
             commanded, from home.
         missed: (n,) distance by which the last command was out of the facility's reach [m, rad].
+        axes: (2, J) addresses of the driven joints' positions and rates.
     """
 
     writes: ClassVar[str] = "ctrl"  # field of MuJoCo's data that `push` writes
@@ -112,12 +102,7 @@ class Mover:
         self.place_A, self.motion_A, self.place_P, self.motion_P, self.pose, self.twist = self.sides
         self.joints, self.joint_rates, self.reference = (np.zeros((n, joints)) for _ in range(3))
         self.missed = np.zeros(n)
-        self.readings = Readings(
-            np.array([kinematics.q, kinematics.v]),
-            kinematics.joints_home,
-            self.joints,
-            self.joint_rates,
-        )
+        self.axes = np.array([kinematics.q, kinematics.v])
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
         """Initialise joints and drives in a uniform motion of A through ``pose`` (n, 7) with
@@ -138,8 +123,8 @@ class Mover:
     @cached_property
     def _seen(self) -> Call:
         tree = self.kinematics.tree.towards_tools()
-        parts = tree, placed(tree), self.readings, self.sides
-        return Call(_observe, *parts, *(GIVEN,) * 4)
+        readings = self.axes, self.kinematics.joints_home, self.joints, self.joint_rates
+        return Call(_observe, tree, scratch(tree), readings, self.sides, *(GIVEN,) * 4)
 
     def observing(
         self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]
@@ -152,45 +137,35 @@ class Mover:
 
 @njit(cache=True)
 def _observe(tree, w, readings, sides, qpos, qvel, limit, diverged):
-    lost = False
+    """With one tool P is W. A run has diverged if a joint rate reaches ``limit``, or a position or
+    rate is not finite.
+    """
+    (axes, home, joints, rates), speed, lost = readings, np.empty((1, 3)), False
     for i in range(qpos.shape[0]):
-        if diverged[i] or has_diverged(qpos[i], qvel[i], limit):
+        bounded = not diverged[i]
+        for rate in qvel[i]:
+            bounded = bounded and abs(rate) < limit  # false of NaN too
+        for position in qpos[i]:
+            bounded = bounded and math.isfinite(position)
+        if not bounded:
             lost = lost or not diverged[i]
             diverged[i] = True
             continue
-        _read_ports(tree, w, qpos[i], qvel[i], sides, i)
-        for j in range(readings.home.shape[0]):
-            readings.joints[i, j] = qpos[i, readings.axes[0, j]] - readings.home[j]
-            readings.rates[i, j] = qvel[i, readings.axes[1, j]]
+        place_A, motion_A = sides.place_A[i], sides.motion_A[i]
+        place(tree, qpos[i], w)
+        move(tree, qvel[i], w)
+        tool_pose(tree, w, 0, place_A)
+        tool_twist(tree, w, 0, motion_A)
+        if tree.tools.shape[0] > 1:
+            place_P, motion_P = sides.place_P[i], sides.motion_P[i]
+            tool_pose(tree, w, 1, place_P)
+            tool_twist(tree, w, 1, motion_P)
+            pose, twist = sides.pose[i], sides.twist[i]
+            relate_one(place_A, motion_A, place_P, motion_P, pose, twist, speed)
+        for j in range(home.shape[0]):
+            joints[i, j] = qpos[i, axes[0, j]] - home[j]
+            rates[i, j] = qvel[i, axes[1, j]]
     return lost
-
-
-@njit(cache=True)
-def has_diverged(qpos, qvel, limit):
-    """Whether a joint rate reaches ``limit``, or a position or rate is not finite."""
-    for rate in qvel:
-        if not abs(rate) < limit:  # true of NaN too
-            return True
-    for position in qpos:
-        if not math.isfinite(position):
-            return True
-    return False
-
-
-@njit(cache=True)
-def _read_ports(tree, w, q, v, sides, i):
-    """Write the sides of run ``i`` at joints ``q`` with rates ``v``; with one tool P is W."""
-    place_A, motion_A = sides.place_A[i], sides.motion_A[i]
-    place(tree, q, w)
-    move(tree, v, w)
-    tool_pose(tree, w, 0, place_A)
-    tool_twist(tree, w, 0, motion_A)
-    if tree.tools.shape[0] == 1:
-        return
-    place_P, motion_P, v = sides.place_P[i], sides.motion_P[i], np.empty((1, 3))
-    tool_pose(tree, w, 1, place_P)
-    tool_twist(tree, w, 1, motion_P)
-    relate_one(place_A, motion_A, place_P, motion_P, sides.pose[i], sides.twist[i], v)
 
 
 class Facility(ABC):
@@ -242,13 +217,9 @@ class Facility(ABC):
         return self.kind
 
     @cached_property
-    def _bare_model(self) -> mujoco.MjModel:
-        return compiled(self.spec())
-
-    @cached_property
     def bare(self) -> Kinematics:
         """Geometry of the facility without a mechanism, for checks before a run."""
-        return self.kinematics(self._bare_model)
+        return self.kinematics(compiled(self.spec()))
 
     @property
     def tool_shares(self) -> tuple[float, ...]:

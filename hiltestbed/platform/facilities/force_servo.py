@@ -20,11 +20,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
@@ -34,26 +32,6 @@ from hiltestbed.platform.facilities.facility import Runs
 from hiltestbed.platform.facilities.kinematics import Kinematics
 
 
-class ServoLoop(NamedTuple):
-    """The position loops of n runs.
-
-    Attributes:
-        mass: (J, J). gains: (n, 2) w^2 and 2 zeta w. encoder: (n,). load, bent, most: (n, J)
-            gravity load, offset of the references, force limits. axes, inputs: addresses of joints
-            and actuators. force: (J,) work space.
-    """
-
-    mass: Array
-    gains: Array
-    encoder: Array
-    load: Array
-    bent: Array
-    most: Array
-    axes: NDArray[np.int64]
-    inputs: NDArray[np.int64]
-    force: Array
-
-
 @njit(cache=True)
 def quantised(value, step):
     """Reading of an encoder of the given resolution."""
@@ -61,23 +39,27 @@ def quantised(value, step):
 
 
 @njit(cache=True)
-def _push(loop, plan, sub, qpos, qvel, ctrl):
-    mass, gains, axes, force = loop.mass, loop.gains, loop.axes, loop.force
+def _push(loop, references, plan, sub, qpos, qvel, ctrl):
+    """loop: mass (J, J), gains (n, 2) w^2 and 2 zeta w, encoders (n,), force limits (J,), addresses
+    of joints and actuators. references: gravity load and offset of the references, both (n, J).
+    """
+    (mass, gains, encoder, most, axes, inputs), (load, bent) = loop, references
     joints = mass.shape[0]
+    force = np.empty(joints)
     for i in range(qpos.shape[0]):
         for j in range(joints):
-            reached = quantised(qpos[i, axes[0, j]], loop.encoder[i])
-            error = plan[i, sub, 0, j] + loop.bent[i, j] - reached
+            reached = quantised(qpos[i, axes[0, j]], encoder[i])
+            error = plan[i, sub, 0, j] + bent[i, j] - reached
             force[j] = (
                 gains[i, 0] * error
                 + gains[i, 1] * (plan[i, sub, 1, j] - qvel[i, axes[1, j]])
                 + plan[i, sub, 2, j]
             )
         for j in range(joints):
-            total = loop.load[i, j]
+            total = load[i, j]
             for k in range(joints):
                 total += mass[j, k] * force[k]
-            ctrl[i, loop.inputs[j]] = min(max(total, -loop.most[i, j]), loop.most[i, j])
+            ctrl[i, inputs[j]] = min(max(total, -most[j]), most[j])
 
 
 class ForceServo(Drives):
@@ -107,21 +89,14 @@ class ForceServo(Drives):
         most = [axis.force if mass is None else math.inf for axis in kinematics.axes]
         mass = mass_matrix(kinematics, model) if mass is None else mass
         self.bent = np.zeros_like(self.load)
-        self._loop = ServoLoop(
-            mass=np.ascontiguousarray(mass),
-            gains=np.column_stack([w * w, 2.0 * runs.numbers(f"{part}damping_ratio") * w]),
-            encoder=self.encoder,
-            load=self.load,
-            bent=self.bent,
-            most=np.tile(most, (len(w), 1)),
-            axes=self._axes,
-            inputs=self._inputs,
-            force=np.zeros(len(kinematics.axes)),
-        )
+        gains = np.column_stack([w * w, 2.0 * runs.numbers(f"{part}damping_ratio") * w])
+        mass = np.ascontiguousarray(mass)
+        self._loop = mass, gains, self.encoder, np.array(most), self.axes, self._inputs
 
     @cached_property
     def _pushed(self) -> Call:
-        return Call(_push, self._loop, self.plan.steps, ..., GIVEN, GIVEN, GIVEN)
+        references = self.load, self.bent
+        return Call(_push, self._loop, references, self.plan.steps, ..., GIVEN, GIVEN, GIVEN)
 
 
 class ElasticJoints(ForceServo):
@@ -148,4 +123,4 @@ class ElasticJoints(ForceServo):
         deflection = -self.load[:, self._elastic] / self._stiffness
         self.bent[:, self._elastic] = -deflection
         qpos[:, self._gears] += deflection
-        qpos[:, self._axes[0]] += self.bent
+        qpos[:, self.axes[0]] += self.bent

@@ -27,86 +27,53 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable
-from functools import cached_property
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import GIVEN, Call
-from hiltestbed.compiled.jit import njit
 from hiltestbed.config.models import load
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.bodies import SIDES, Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, Runs
+from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.facilities.motion import GRAVITY
 from hiltestbed.platform.friction import DriveFriction
 from hiltestbed.platform.shipped.halls import AirBearingSettings, SuspensionSettings
 
 CREEP = 1e-4  # [m/s] v_0, speed below which the pads' friction fades
-TILT_X, TILT_Z, FILM, RADIUS, RUB, HOSE, HOSE_DAMPING = range(7)  # parameters of a run
-
-
-class Pads(NamedTuple):
-    """The moving articles of n runs.
-
-    Attributes:
-        numbers: (n, 7). dofs, qadr: (b, 3) x, z and rotation of each article. masses: (b,) [kg].
-            origin: (n, b, 2) rest position of the hoses [m].
-    """
-
-    numbers: Array
-    dofs: NDArray[np.int64]
-    qadr: NDArray[np.int64]
-    masses: Array
-    origin: Array
-
-
-@njit(cache=True)
-def _push_floats(pads, qpos, qvel, applied):
-    dofs = pads.dofs
-    for i in range(qpos.shape[0]):
-        p = pads.numbers[i]
-        for b in range(dofs.shape[0]):
-            weight = pads.masses[b] * GRAVITY
-            vx, vz, turn = qvel[i, dofs[b, 0]], qvel[i, dofs[b, 1]], qvel[i, dofs[b, 2]]
-            rub = p[RUB] * weight / math.sqrt(vx * vx + vz * vz + CREEP * CREEP)
-            drag = p[FILM] + p[HOSE_DAMPING] + rub
-            for c in range(2):
-                v = qvel[i, dofs[b, c]]
-                pull = p[HOSE] * (qpos[i, pads.qadr[b, c]] - pads.origin[i, b, c])
-                applied[i, dofs[b, c]] = weight * math.sin(p[c]) - drag * v - pull
-            applied[i, dofs[b, 2]] = -(p[FILM] + rub) * p[RADIUS] * p[RADIUS] * turn
 
 
 class Floats(Bodies):
-    """Articles of `n` runs on their air films."""
+    """Articles of `n` runs on their air films.
 
-    @cached_property
-    def _pads(self) -> Pads:
-        model, runs = self.model, self.runs
-        moving = [side for side in SIDES if model.body(side).jntnum[0]]
+    Attributes:
+        origin: (n, b, 2) rest position of the hoses of each moving article [m].
+    """
+
+    def __init__(self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs) -> None:
+        super().__init__(model, kinematics, runs)
+        moving = self.moving
         joints = [[model.joint(f"{side}_{name}") for name in ("x", "z", "turn")] for side in moving]
+        self._dofs = np.array([[int(j.dofadr[0]) for j in row] for row in joints])
+        self._places = np.array([[int(j.qposadr[0]) for j in row[:2]] for row in joints])
+        self._weights = GRAVITY * np.array([float(model.body(s).subtreemass[0]) for s in moving])
+        slopes = np.array([[math.sin(angle) for angle in s.tilt] for s in runs.settings])
+        self._downhill = self._weights[:, None] * slopes[:, None]
         names = ("film_damping", "pad_radius", "friction", "hose_stiffness", "hose_damping")
-        tilt = np.array([s.tilt for s in runs.settings], dtype=float)
-        return Pads(
-            numbers=np.column_stack([tilt, *map(runs.numbers, names)]),
-            dofs=np.array([[int(j.dofadr[0]) for j in row] for row in joints]),
-            qadr=np.array([[int(j.qposadr[0]) for j in row] for row in joints]),
-            masses=np.array([float(model.body(side).subtreemass[0]) for side in moving]),
-            origin=np.zeros((len(runs.settings), len(moving), 2)),
-        )
-
-    @cached_property
-    def _pushed(self) -> Call:
-        return Call(_push_floats, self._pads, GIVEN, GIVEN, GIVEN)
+        self._numbers = [runs.numbers(name)[:, None] for name in names]
+        self.origin = np.zeros_like(self._downhill)
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        self._pads.origin[:] = qpos[:, self._pads.qadr[:, :2]]
+        self.origin[:] = qpos[:, self._places]
 
     def push(self, sub: int, qpos: Array, qvel: Array, inputs: Array) -> None:
-        self._pushed.on(qpos, qvel, inputs)()
+        film, radius, friction, hose, hose_damping = self._numbers
+        vx, vz, turn = np.moveaxis(qvel[:, self._dofs], 2, 0)
+        rub = friction * self._weights / np.sqrt(vx * vx + vz * vz + CREEP * CREEP)
+        drag = (film + hose_damping + rub)[..., None] * np.stack([vx, vz], axis=2)
+        pull = hose[..., None] * (qpos[:, self._places] - self.origin)
+        inputs[:, self._dofs[:, :2]] = self._downhill - drag - pull
+        inputs[:, self._dofs[:, 2]] = -(film + rub) * radius * radius * turn
 
 
 class AirBearing(PhysicalFacility):
@@ -145,74 +112,37 @@ HOOK = 2.0  # [kg] gimbal and hook, in models/suspension
 THIN = 0.012  # [m] radius of the cable
 
 
-class Winches(NamedTuple):
-    """The cables and winches of n runs.
+class Hung(Bodies):
+    """Articles of `n` runs on their cables.
 
     Attributes:
-        numbers: (n, 3) swing damping, low-pass coefficient per step of the tension servo, tension
-            error. hung: (b,) suspended mass [kg]. dofs: (b,) of the winches. swings: (b, 2) of the
-            cables' pivots.
-        tension: (n, b) of each cable [N].
+        tension: (n, b) of each moving article's cable [N].
     """
 
-    numbers: Array
-    hung: Array
-    dofs: NDArray[np.int64]
-    swings: NDArray[np.int64]
-    tension: Array
-
-
-@njit(cache=True)
-def _push(winches, qvel, applied):
-    dofs, swings, tension = winches.dofs, winches.swings, winches.tension
-    for i in range(qvel.shape[0]):
-        damping, share, error = winches.numbers[i, 0], winches.numbers[i, 1], winches.numbers[i, 2]
-        for b in range(dofs.shape[0]):
-            goal = winches.hung[b] * GRAVITY * (1.0 + error)
-            tension[i, b] += share * (goal - tension[i, b])
-            applied[i, dofs[b]] = -tension[i, b]
-            for c in range(2):
-                applied[i, swings[b, c]] = -damping * qvel[i, swings[b, c]]
-
-
-class Hung(Bodies):
-    """Articles of `n` runs on their cables."""
-
-    @cached_property
-    def _winches(self) -> Winches:
-        model, runs, step = self.model, self.runs, self.runs.step
-        moving = [side for side in SIDES if model.body(side).jntnum[0]]
-        share = 1.0 - np.exp(-2.0 * math.pi * runs.numbers("tension_bandwidth") * step)
-        return Winches(
-            numbers=np.column_stack(
-                [runs.numbers("swing_damping"), share, runs.numbers("tension_error")]
-            ),
-            hung=np.array([float(model.body(f"{side}_hook").subtreemass[0]) for side in moving]),
-            dofs=np.array([int(model.joint(f"{side}_winch").dofadr[0]) for side in moving]),
-            swings=np.array(
-                [[int(model.joint(f"{side}_swing_{c}").dofadr[0]) for c in "xz"] for side in moving]
-            ),
-            tension=np.zeros((len(share), len(moving))),
+    def __init__(self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs) -> None:
+        super().__init__(model, kinematics, runs)
+        moving = self.moving
+        self._dofs = np.array([int(model.joint(f"{side}_winch").dofadr[0]) for side in moving])
+        self._swings = np.array(
+            [int(model.joint(f"{side}_swing_{c}").dofadr[0]) for side in moving for c in "xz"]
         )
-
-    @cached_property
-    def _friction(self) -> DriveFriction:
-        dofs, slides = self._winches.dofs, self.runs.numbers("winch_friction")
-        law = [[s, BREAKAWAY * s, STRIBECK_SPEED, 0.0, 0.0] for s in slides]
-        laws = np.repeat(np.array(law)[:, None], len(dofs), axis=1)
-        return DriveFriction(laws, PRESLIDING, HOOK, dofs, dofs, self.runs.step)
-
-    @cached_property
-    def _pushed(self) -> Call:
-        return Call(_push, self._winches, GIVEN, GIVEN)
+        hung = np.array([float(model.body(f"{side}_hook").subtreemass[0]) for side in moving])
+        self._goal = hung * GRAVITY * (1.0 + runs.numbers("tension_error")[:, None])
+        share = 1.0 - np.exp(-2.0 * math.pi * runs.numbers("tension_bandwidth") * runs.step)
+        self._share, self._damping = share[:, None], runs.numbers("swing_damping")[:, None]
+        self.tension = np.zeros_like(self._goal)
+        law = [[s, BREAKAWAY * s, STRIBECK_SPEED, 0.0, 0.0] for s in runs.numbers("winch_friction")]
+        laws = np.repeat(np.array(law)[:, None], len(moving), axis=1)
+        self._friction = DriveFriction(laws, PRESLIDING, HOOK, self._dofs, self._dofs, runs.step)
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        winches = self._winches
-        winches.tension[:] = winches.hung * GRAVITY * (1.0 + winches.numbers[:, 2:3])
+        self.tension[:] = self._goal
         self._friction.bristles[:] = 0.0
 
     def push(self, sub: int, qpos: Array, qvel: Array, inputs: Array) -> None:
-        self._pushed.on(qvel, inputs)()
+        self.tension += self._share * (self._goal - self.tension)
+        inputs[:, self._dofs] = -self.tension
+        inputs[:, self._swings] = -self._damping * qvel[:, self._swings]
         self._friction.act(qvel, inputs)
 
 

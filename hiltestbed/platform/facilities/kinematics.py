@@ -33,7 +33,7 @@ SLOWEST = 0.02
 # that is not singular
 LOOSEST = 100.0
 # prefixes of joints of the attached mechanisms, not of the facility
-MECHANISMS = ("active_", "passive_", "mount_", "payload_")
+MECHANISMS = ("active_", "passive_", "mount_")
 # in the loop, kernels call these
 _place, _move, _tool_pose, _tool_twist = map(Seldom, (place, move, tool_pose, tool_twist))
 _equations, _newton, _rates = map(Seldom, (equations, newton, rates))
@@ -96,7 +96,7 @@ class Kinematics:
             [int(model.joint(name).qposadr[0]) for name in prescribed], dtype=np.int64
         )
         self._travel = list(_travels(model, axes, locked))
-        self._names = [name or f"joint {j}" for j, name in enumerate(every)]
+        self._names = [every[j] or f"joint {j}" for j in model.dof_jntid]
 
     @cached_property
     def home_poses(self) -> Array:
@@ -146,7 +146,7 @@ class Kinematics:
             float(np.abs(twists).max(initial=0.0)),
             float(np.abs(values - begin_values).max(initial=0.0)),
         )
-        steps, worst = _strides(span), 0.0
+        steps, worst = max(1, math.ceil(min(span / STRIDE, MOST_STRIDES))), 0.0
         at = np.empty_like(goal)
         for s in range(1, steps + 1):
             for t in range(len(goal)):
@@ -240,7 +240,7 @@ class Kinematics:
         """
         twists, free = self.jacobian(q)
         if free.shape[1]:
-            joint = self._names[int(self._joint_of(int(np.argmax(np.abs(free[:, 0])))))]
+            joint = self._names[int(np.argmax(np.abs(free[:, 0])))]
             loose = f"{joint!r} is neither driven nor constrained by a loop"
             return f"{loose}, so the tool can move freely"
         scaled = twists[:6] * np.array([axis.speed for axis in self.axes])
@@ -256,10 +256,6 @@ class Kinematics:
         if values[0] > LOOSEST * middle:
             return f"no stiffness {direction(left[:, 0])}"
         return None
-
-    def _joint_of(self, dof: int) -> int:
-        starts = self.tree.joints[:, 3]
-        return int(np.flatnonzero(starts <= dof)[np.argmax(starts[starts <= dof])])
 
     def complaints(self, poses: Array, held: Array | None = None) -> list[str]:
         """Why tools cannot be at ``poses`` (nt, 7): reach, travel, singularity. Empty: they can."""
@@ -290,11 +286,6 @@ class Kinematics:
             f"out of reach: {self.tools[t]} cannot be at {pose_in_words(np.atleast_2d(poses)[t])}; "
             f"on the way there it gets to {pose_in_words(reached[t])}"
         )
-
-
-def _strides(way: float) -> int:
-    """Number of steps for a path on which tools or joints move by ``way`` [m], [rad]."""
-    return max(1, math.ceil(min(way / STRIDE, MOST_STRIDES)))
 
 
 def _travels(

@@ -1,5 +1,5 @@
-"""Measurements on the model of a rig with a payload, by default the bumper's active side; commands
-and wrenches refer to A, the tip of the mechanism.
+"""Measurements on the model of a rig with its mechanism; commands and wrenches refer to A, the tip
+of the mechanism.
 
 Response in six axes to sines, of the command and of a wrench at A, one run of a batch for each axis
 and frequency: a sine and a cosine are fitted by least squares over whole cycles after the
@@ -111,7 +111,7 @@ def dynamic_stiffness(stands: Stands, frequency: Array | Sequence[float]) -> NDA
     stand.drives.release()
     axis, w, runs = np.repeat(np.arange(6), len(f)), 2.0 * math.pi * np.tile(f, 6), np.arange(n)
     size = np.where(axis < 3, FORCE, TORQUE)
-    pose, still = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 6))
+    pose, still = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
     stand.reset(pose, still)
     record = np.empty((_ticks(w, stand.tick), n, 6))
     for k in range(len(record)):
@@ -128,7 +128,7 @@ def _command_sines(stand: Stand, axis: NDArray[np.intp], w: Array, size: Array) 
     n, h = len(axis), stand.tick
     runs = np.arange(n)
     place, speed, bend = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
-    pose = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1))
+    pose = np.tile(UPRIGHT, (n, 1))
     stand.reset(pose, speed)
     out = np.empty((_ticks(w, h), n, 6))
     for k in range(1, len(out) + 1):
@@ -223,7 +223,7 @@ def modes(stands: Stands) -> tuple[Mode, ...]:
 def _map(probe: Stand, stand: Stand, allowed: Array, count: int) -> Array:
     """``(N, N)`` one-tick map of allowed positions and velocities, and of the drives' state."""
     n, free = 2 * count, allowed.shape[1]
-    pose, still = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 6))
+    pose, still = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
     probe.drives.release()
     probe.reset(pose[:1], still[:1])
     for _ in range(round(SETTLE / probe.tick)):

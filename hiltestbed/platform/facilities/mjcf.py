@@ -21,15 +21,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Iterator
-from functools import cached_property
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import GIVEN, Call
-from hiltestbed.compiled.jit import interpreted, njit
+from hiltestbed.compiled.jit import interpreted
 from hiltestbed.config.models import model_of
 from hiltestbed.config.part import named
 from hiltestbed.errors import InputError
@@ -211,40 +208,23 @@ def _stiffness(m: mujoco.MjModel, inputs: NDArray[np.int64]) -> Array:
     return np.asarray(m.actuator_gainprm[inputs, 0] * m.actuator_gear[inputs, 0] ** 2)
 
 
-class Servos(NamedTuple):
-    """Position actuators: ratio of the gear, kv/kp, compensated deflection (n, J), numbers."""
-
-    ratio: Array
-    lead: Array
-    bent: Array
-    inputs: NDArray[np.int64]
-
-
-@njit(cache=True)
-def _push(servos, plan, sub, qpos, qvel, ctrl):
-    for i in range(plan.shape[0]):
-        for j in range(servos.inputs.shape[0]):
-            ctrl[i, servos.inputs[j]] = servos.ratio[j] * (
-                plan[i, sub, 0, j] + servos.lead[j] * plan[i, sub, 1, j] + servos.bent[i, j]
-            )
-
-
 class PositionActuators(Drives):
-    """Position servos of `n` runs of a user's rig."""
+    """Position servos of `n` runs of a user's rig.
+
+    Attributes:
+        bent: (n, J) compensated deflection.
+    """
 
     def __init__(self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs) -> None:
         super().__init__(model, kinematics, runs)
         inputs = self._inputs
-        self._servos = Servos(
-            model.actuator_gear[inputs, 0].copy(),
-            -model.actuator_biasprm[inputs, 2] / model.actuator_gainprm[inputs, 0],
-            np.zeros_like(self.load),
-            inputs,
-        )
+        self._ratio = model.actuator_gear[inputs, 0].copy()
+        self._lead = -model.actuator_biasprm[inputs, 2] / model.actuator_gainprm[inputs, 0]
+        self.bent = np.zeros_like(self.load)
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        self._servos.bent[:] = self.load / _stiffness(self.model, self._inputs)
+        self.bent[:] = self.load / _stiffness(self.model, self._inputs)
 
-    @cached_property
-    def _pushed(self) -> Call:
-        return Call(_push, self._servos, self.plan.steps, ..., GIVEN, GIVEN, GIVEN)
+    def push(self, sub: int, qpos: Array, qvel: Array, inputs: Array) -> None:
+        place, rate, _ = np.moveaxis(self.plan.steps[:, sub], 1, 0)
+        inputs[:, self._inputs] = self._ratio * (place + self._lead * rate + self.bent)

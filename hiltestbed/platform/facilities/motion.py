@@ -24,7 +24,7 @@ import numpy as np
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, cross, quat_mul, quat_normalise, rotate, rotate_back
 from hiltestbed.numerical_model.kernels import solve
-from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE, JointTree, ToolPath
+from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE, JointTree
 
 LOCAL = 27  # first number of the part of the work space that poses and velocities use
 SPARE = LOCAL + 15
@@ -54,22 +54,6 @@ class Scratch(NamedTuple):
     goal: Array
     step: Array
     spare: Array
-
-
-class PoseScratch(NamedTuple):
-    """The part of :class:`Scratch` that poses and velocities need."""
-
-    poses: Array
-    axes: Array
-    motion: Array
-    spare: Array
-
-
-def placed(chain: ToolPath) -> PoseScratch:
-    """Work space for poses and velocities alone."""
-    nb, nj = len(chain.bodies), len(chain.joints)
-    poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (nb, 1))
-    return PoseScratch(poses, np.zeros((nj, 6)), np.zeros((nb, 6)), np.zeros(SPARE))
 
 
 def scratch(tree: JointTree) -> Scratch:

@@ -73,7 +73,24 @@ def equations(tree, q, poses, values, w):
     place(tree, q, w)
     rows, residual = w.rows, w.residual
     rows[:] = 0.0
-    r = _close_loops(tree, w)
+    r = 0
+    ends = w.spare[6:20].reshape((2, 7))
+    for k in range(tree.loops.shape[0]):
+        whole = tree.loops[k, 0] == FRAME
+        for e in range(2):
+            pose, frame = w.poses[tree.loops[k, 1 + e]], tree.loop_frames[k, e]
+            rotate(pose[3:7], frame, ends[e])
+            for i in range(3):
+                ends[e, i] += pose[i]
+            if whole:
+                quat_mul(pose[3:7], frame[3:7], ends[e, 3:7])
+            add_rows(tree, w, tree.loops[k, 1 + e], ends[e], 1.0 - 2.0 * e, r, whole)
+        if whole:
+            twist_between(ends[1], ends[0], 1.0, residual[r : r + 6])
+        else:
+            for i in range(3):
+                residual[r + i] = ends[0, i] - ends[1, i]
+        r += 6 if whole else 3
     for k in range(tree.coupled.shape[0]):
         led, leads = tree.coupled[k, 0], tree.coupled[k, 1]
         c = tree.polynomial[k]
@@ -100,30 +117,6 @@ def equations(tree, q, poses, values, w):
         residual[r] = q[tree.joints[j, 2]] - values[k]
         rows[r, tree.joints[j, 3]] = 1.0
         r += 1
-
-
-@njit(cache=True)
-def _close_loops(tree, w):
-    """Residual and rows of the loops; returns the number of rows."""
-    ends = w.spare[6:20].reshape((2, 7))
-    r = 0
-    for k in range(tree.loops.shape[0]):
-        whole = tree.loops[k, 0] == FRAME
-        for e in range(2):
-            pose, frame = w.poses[tree.loops[k, 1 + e]], tree.loop_frames[k, e]
-            rotate(pose[3:7], frame, ends[e])
-            for i in range(3):
-                ends[e, i] += pose[i]
-            if whole:
-                quat_mul(pose[3:7], frame[3:7], ends[e, 3:7])
-            add_rows(tree, w, tree.loops[k, 1 + e], ends[e], 1.0 - 2.0 * e, r, whole)
-        if whole:
-            twist_between(ends[1], ends[0], 1.0, w.residual[r : r + 6])
-        else:
-            for i in range(3):
-                w.residual[r + i] = ends[0, i] - ends[1, i]
-        r += 6 if whole else 3
-    return r
 
 
 @njit(cache=True)

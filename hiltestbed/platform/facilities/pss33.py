@@ -44,7 +44,7 @@ PRESLIDING = 5.0e7
 
 
 @njit(cache=True)
-def _aim(limbs, moved, share, targets, cycles, plan):
+def _aim(limbs, moved, share, targets, plan):
     """Plan a tick of the sliders, the acceleration of each the force of its drive over ``share``.
 
     The motion is planned at rest: at 0.3 m/s and 0.2 rad/s the terms that depend on velocity are
@@ -55,7 +55,7 @@ def _aim(limbs, moved, share, targets, cycles, plan):
     jac, ways, at, accel = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6)
     bend, still, work = np.empty(6), np.zeros(3), np.empty((8, 3))
     for i in range(poses.shape[0]):
-        pose, length = poses[i, 0], cycles.length[i]
+        pose, length = poses[i, 0], plan.length[i]
         jacobian(limbs, pose, at, jac)
         if k < 0 or k % length == 0:
             for j in range(6):
@@ -65,8 +65,8 @@ def _aim(limbs, moved, share, targets, cycles, plan):
         if k < 0:
             continue
         if k % length == 0:
-            sample(cycles, plan, i)
-        plan_tick(cycles, plan, i)
+            sample(plan, i)
+        plan_tick(plan, i)
         if k % length == length - 1:  # at the command itself, without the cubic's rounding
             for j in range(6):
                 plan.reference[i, j] = plan.span[i, LEAVE, 0, j]
@@ -108,7 +108,7 @@ class SliderDrives(ForceServo):
     @cached_property
     def _solve(self) -> Callable[[], None]:
         masses = self.moved, self.share
-        return bound(_aim, self.kinematics.limbs, *masses, self.targets, self.cycles, self.plan)
+        return bound(_aim, self.kinematics.limbs, *masses, self.targets, self.plan)
 
 
 class Pss33Facility(Facility):

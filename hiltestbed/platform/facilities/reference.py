@@ -22,24 +22,12 @@ from hiltestbed.frames import Array
 START, LEAVE = 0, 1
 
 
-class Cycles(NamedTuple):
-    """The controllers of n runs.
-
-    Attributes:
-        tick: of the loop [s]. length: (n,) ticks per cycle. late: (n,) command delay in whole
-            cycles. feed: (n,) bool, feed-forward.
-    """
-
-    tick: float
-    length: NDArray[np.int64]
-    late: NDArray[np.int64]
-    feed: NDArray[np.bool_]
-
-
 class TickPlan(NamedTuple):
     """Commands and references of J driven joints of n runs.
 
     Attributes:
+        tick: of the loop [s]. length: (n,) ticks per cycle of each controller. late: (n,) command
+            delay in whole plan. feed: (n,) bool, feed-forward.
         ticks: (1,) number of the tick that is planned next; negative: nothing is planned.
         goal, leave: (n, J) joints and their rates at the last command taken.
         ring: (n, D + 1, 2, J) delayed commands, by cycle. span: (n, 2, 2, J) start and end of the
@@ -48,6 +36,10 @@ class TickPlan(NamedTuple):
         steps: (n, m, 3, J) position, velocity and acceleration at the start of each step.
     """
 
+    tick: float
+    length: NDArray[np.int64]
+    late: NDArray[np.int64]
+    feed: NDArray[np.bool_]
     ticks: NDArray[np.int64]
     goal: Array
     leave: Array
@@ -59,32 +51,32 @@ class TickPlan(NamedTuple):
 
 
 @njit(cache=True)
-def sample(cycles, plan, i):
+def sample(plan, i):
     """Take the goal of run ``i`` as the command of the cycle that begins."""
     size = plan.ring.shape[1]
-    now = (plan.ticks[0] // cycles.length[i]) % size
+    now = (plan.ticks[0] // plan.length[i]) % size
     for j in range(plan.goal.shape[1]):
         plan.ring[i, now, 0, j] = plan.goal[i, j]
         plan.ring[i, now, 1, j] = plan.leave[i, j]
-        then = (now - cycles.late[i]) % size
+        then = (now - plan.late[i]) % size
         for part in range(2):
             plan.span[i, START, part, j] = plan.span[i, LEAVE, part, j]
             plan.span[i, LEAVE, part, j] = plan.ring[i, then, part, j]
 
 
 @njit(cache=True)
-def plan_tick(cycles, plan, i):
+def plan_tick(plan, i):
     """Write the steps of run ``i``, and its references at the end of the tick."""
     steps, reference, velocity, span = plan.steps[i], plan.reference[i], plan.velocity[i], plan.span
     m = steps.shape[0]
-    h, cycle, part = cycles.tick, cycles.length[i], plan.ticks[0] % cycles.length[i]
+    h, cycle, part = plan.tick, plan.length[i], plan.ticks[0] % plan.length[i]
     dt = h / m
     for s in range(m):
         t = (part * m + s + 1.0) / (cycle * m)
         for j in range(reference.shape[0]):
             s0, s1 = span[i, START, 0, j], span[i, LEAVE, 0, j]
             steps[s, 0, j] = reference[j]
-            if cycles.feed[i]:  # the cubic between two positions and velocities
+            if plan.feed[i]:  # the cubic between two positions and velocities
                 a, b, c = s1 - s0, span[i, START, 1, j], span[i, LEAVE, 1, j]
                 bend = (3.0 * a - cycle * h * (2.0 * b + c)) + t * (cycle * h * (b + c) - 2.0 * a)
                 now = s0 + t * (cycle * h * b + t * bend)

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -65,35 +64,21 @@ def _piece(ring, axis, begin, end, e, x, state):
         state[c] = x[c]
 
 
-class Axes(NamedTuple):
-    """The axes of n platforms.
-
-    Attributes:
-        late: (n,) delay [ticks]. bend: (n,) time within the tick at which the delayed command
-            passes from one linear piece to the next [ticks].
-        step: (n, 6, 3, 3, 5) matrices of a whole substep, and of the parts before and after the
-            bend of the substep that contains it.
-        ring: (n, slots, 6) commands; that for t_j is in slot j modulo their number. state: (n, 6,
-            3) of each axis.
-        path: (n, m, 7) pose of A in P at the m instants of the tick, the last of which is t_(k+1).
-    """
-
-    late: Array
-    bend: Array
-    step: Array
-    ring: Array
-    state: Array
-    path: Array
-
-
 @njit(cache=True)
 def _advance(k, pose_cmd, turn_cmd, axes):
-    """One tick: store the command at t_(k+1), then advance every axis over the m substeps."""
-    ring, path, state, step = axes.ring, axes.path, axes.state, axes.step
+    """One tick: store the command at t_(k+1), then advance every axis over the m substeps.
+
+    axes: late (n,) delay [ticks]; bend (n,) time within the tick at which the delayed command
+    passes from one linear piece to the next [ticks]; step (n, 6, 3, 3, 5) matrices of a whole
+    substep, and of the parts before and after the bend of the substep that contains it; ring (n,
+    slots, 6) commands, that for t_j in slot j modulo their number; state (n, 6, 3) of each axis;
+    path (n, m, 7) pose of A in P at the m instants of the tick, the last of which is t_(k+1).
+    """
+    late_by, bends, step, ring, state, path = axes
     m = path.shape[1]
     r, x = np.empty(3), np.empty(3)
     for i in range(pose_cmd.shape[0]):
-        slot, late, bend = (k + 1) % ring.shape[1], axes.late[i], axes.bend[i]
+        slot, late, bend = (k + 1) % ring.shape[1], late_by[i], bends[i]
         for c in range(3):
             ring[i, slot, c] = pose_cmd[i, c]
             ring[i, slot, 3 + c] = turn_cmd[i, c]
@@ -118,17 +103,12 @@ class ResponsePath:
     def __init__(self, settings: Sequence[ResponseSettings], tick: float, substeps: int) -> None:
         n, late = len(settings), np.array([s.delay for s in settings]) / tick
         self.tick = tick
-        self._axes = axes = Axes(
-            late=late,
-            bend=late - np.floor(late),
-            step=np.zeros((n, 6, 3, 3, 5)),
-            ring=np.zeros((n, math.ceil(float(late.max())) + 3, 6)),
-            state=np.zeros((n, 6, 3)),
-            path=np.zeros((n, substeps, 7)),
-        )
+        self._late, bend, step = late, late - np.floor(late), np.zeros((n, 6, 3, 3, 5))
+        self._ring = np.zeros((n, math.ceil(float(late.max())) + 3, 6))
+        self._state, self._path = np.zeros((n, 6, 3)), np.zeros((n, substeps, 7))
         for i, s in enumerate(settings):
             # part before the bend of the substep that contains it
-            before = math.modf(axes.bend[i] * substeps)[0] / substeps
+            before = math.modf(bend[i] * substeps)[0] / substeps
             parts = (1.0 / substeps, before, 1.0 / substeps - before)
             for axis, (band, zeta, gain) in enumerate(
                 zip(six(s.bandwidth), six(s.damping_ratio), six(s.gain), strict=True)
@@ -136,27 +116,26 @@ class ResponsePath:
                 w = 2.0 * math.pi * band
                 for part, share in enumerate(parts):
                     if share > 0.0:
-                        axes.step[i, axis, part] = advance_matrices(
-                            s.order, w, zeta, gain, tick * share
-                        )
+                        step[i, axis, part] = advance_matrices(s.order, w, zeta, gain, tick * share)
                     else:  # no time passes
-                        axes.step[i, axis, part, :, :3] = np.eye(3)
+                        step[i, axis, part, :, :3] = np.eye(3)
         self._ticks, self._turn = np.zeros(1, dtype=np.int64), np.zeros((n, 3))
+        axes = late, bend, step, self._ring, self._state, self._path
         self._advance = Call(_advance, ..., GIVEN, self._turn, axes)
 
     def begin(self, pose: Array, twist: Array) -> None:
         """Start a uniform motion with ``twist`` (n, 6), behind ``pose`` (n, 7) by the delay."""
-        axes, slots = self._axes, self._axes.ring.shape[1]
+        slots = self._ring.shape[1]
         self._ticks[0] = 0
         start = np.hstack([pose[:, :3], rotation_vectors(pose[:, 3:])])
         for back in range(slots):
-            axes.ring[:, -back % slots] = start - twist * (self.tick * back)
-        axes.state[:, :, 0] = start - twist * (axes.late * self.tick)[:, None]
-        axes.state[:, :, 1], axes.state[:, :, 2] = twist, 0.0
+            self._ring[:, -back % slots] = start - twist * (self.tick * back)
+        self._state[:, :, 0] = start - twist * (self._late * self.tick)[:, None]
+        self._state[:, :, 1], self._state[:, :, 2] = twist, 0.0
 
     def advance(self, pose_cmd: Array) -> Array:
         """The path (n, m, 7) over the tick for whose end ``pose_cmd`` (n, 7) is commanded."""
         self._turn[:] = rotation_vectors(pose_cmd[:, 3:])
         self._advance.on(pose_cmd)(int(self._ticks[0]))
         self._ticks[0] += 1
-        return self._axes.path
+        return self._path

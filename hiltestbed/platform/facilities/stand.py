@@ -1,7 +1,7 @@
-"""A facility alone, with a payload on its mount: `n` copies in lockstep, for measurements.
+"""A facility with a mechanism that touches nothing: `n` copies in lockstep, for measurements.
 
 A tick is that of the closed loop's plant without contact: aim, push and step, observe. A wrench may
-act on the payload.
+act on its active side at A, in W.
 """
 
 from __future__ import annotations
@@ -12,38 +12,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mujoco.batch import Batch
 
-from hiltestbed.compiled.jit import njit
-from hiltestbed.config.models import load
 from hiltestbed.contact.composition import drawn
-from hiltestbed.frames import Array, rotate, rotate_back
-from hiltestbed.platform.facilities.composed import TOOL as ON_MECHANISM
-from hiltestbed.platform.facilities.composed import facility_model
+from hiltestbed.contact.contacts import centres
+from hiltestbed.contact.mechanisms import Bumper
+from hiltestbed.contact.wrench import load_body
+from hiltestbed.frames import Array, rotate_back
+from hiltestbed.platform.driven import SPEED_LIMIT
+from hiltestbed.platform.facilities.composed import TOOL, facility_model
 from hiltestbed.platform.facilities.drives import Drives
-from hiltestbed.platform.facilities.facility import MOUNT, Facility, Runs, compiled
+from hiltestbed.platform.facilities.facility import Facility, Runs
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
 
 Stands = Callable[[int], "Stand"]  # so many rigs
-PAYLOAD = "payload_"
-TOOL = PAYLOAD + "A"
-LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
-
-
-@njit(cache=True)
-def _apply(wrench, body, place, centre, applied):
-    """Apply the wrench (n, 6) at A, in W, to a body with its centre (3,) from A, in A."""
-    r = np.empty(3)
-    for i in range(wrench.shape[0]):
-        rotate(place[i, 3:7], centre, r)
-        for c in range(3):
-            k, l = (c + 1) % 3, (c + 2) % 3
-            applied[i, body, c] = wrench[i, c]
-            applied[i, body, 3 + c] = wrench[i, 3 + c] - (r[k] * wrench[i, l] - r[l] * wrench[i, k])
 
 
 class Stand:
-    """`n` facilities with a payload.
+    """`n` facilities with a mechanism.
 
     Attributes:
         drives: their drives. pose, twist: those of A relative to P, in P, at t_k. diverged: (n,)
@@ -62,36 +48,32 @@ class Stand:
         mechanism: Mechanism | None = None,
         threads: int = 0,
     ) -> None:
-        """``settings``: of each run. ``mechanism``: both sides; None: the bumper's active one."""
+        """``settings``: of each run. ``mechanism``: by default a bumper."""
         self.facility, self.tick, self.substeps = facility, 1.0 / rate, substeps
-        tool = TOOL
-        if mechanism is None:
-            spec = facility.spec()
-            spec.attach(load("bumper/active"), prefix=PAYLOAD, site=spec.site(MOUNT))
-            self.model = compiled(spec, self.tick / substeps)
-        else:
-            tool = ON_MECHANISM
-            self.model = facility_model(facility, drawn(mechanism), self.tick / substeps)
+        # without contact: its stiffness is not used
+        bumper = Bumper.model_validate({"contact": {"stiffness": 1.0}})
+        sides = drawn(mechanism or bumper)
+        self.model = facility_model(facility, sides, self.tick / substeps)
         self.batch = Batch(self.model, n, threads, persistent=True)
         runs = Runs(
             self.tick, substeps, list(settings or [facility.settings] * n), np.full(n, feed)
         )
-        drives = facility.drives(self.model, runs, tool)
+        drives = facility.drives(self.model, runs, TOOL)
         assert isinstance(drives, Drives)
         self.drives = drives
         bind = self.batch.bind
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self._applied = bind("xfrc_applied").reshape(n, -1, 6)
-        site = self.model.site(tool)
+        site = self.model.site(TOOL)
         self._body = int(site.bodyid[0])
-        self._centre = np.zeros(3)
+        self._centre, self._at = np.zeros(3), np.zeros((n, 3))
         rotate_back(
             site.quat[[1, 2, 3, 0]], self.model.body(self._body).ipos - site.pos, self._centre
         )
         self.wrench = np.zeros((n, 6))
         self.diverged = np.zeros(n, dtype=bool)
         self.pose, self.twist = self.drives.pose, self.drives.twist
-        self._observe = self.drives.observing(self.qpos, self.qvel, LIMIT, self.diverged)
+        self._observe = self.drives.observing(self.qpos, self.qvel, SPEED_LIMIT, self.diverged)
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Start in a uniform motion with ``twist`` (n, 6) whose command is at ``pose`` (n, 7)."""
@@ -108,7 +90,9 @@ class Stand:
         self.drives.aim(pose, twist, accel)
         for s in range(self.substeps):
             if self.wrench.any():
-                _apply(self.wrench, self._body, self.drives.place_A, self._centre, self._applied)
+                place = self.drives.place_A
+                centres(place, self._centre, self._at)
+                load_body(1.0, self.wrench, self._body, self._at - place[:, :3], self._applied)
             self.drives.push(s, self.qpos, self.qvel, self.ctrl)
             self.batch.step()
         self.drives.arrive()

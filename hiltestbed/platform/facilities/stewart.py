@@ -33,11 +33,9 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable
 from functools import cached_property
-from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
@@ -89,7 +87,7 @@ class Stewart(Facility):
         drives = (
             ForceServo(model, kinematics, runs, "drive")
             if self.settings.drive.kind == "electric"
-            else Hydraulic(model, kinematics, runs, STROKE)
+            else Hydraulic(model, kinematics, runs)
         )
         # the smallest mass that a leg moves: its rod and its drive
         leg = float(
@@ -116,43 +114,38 @@ class Stewart(Facility):
         return math.sqrt(drive.gain * w) / (2.0 * math.pi)
 
 
-# parameters of a leg; CORNER: the low-pass coefficient per step
-AREA, SUPPLY, FLOW, MODULUS, DEAD, LENGTH, LEAKAGE, FEEDBACK, CORNER, GAIN, ENCODER = range(11)
+# parameters of a leg, and the low-pass coefficient of the pressure feedback per step
+LEG = (
+    "area",
+    "supply",
+    "valve.flow",
+    "bulk_modulus",
+    "dead_volume",
+    "leakage",
+    "pressure_feedback",
+    "gain",
+    "encoder_resolution",
+)
+AREA, SUPPLY, FLOW, MODULUS, DEAD, LEAKAGE, FEEDBACK, GAIN, ENCODER, CORNER = range(10)
 SPOOL, SPOOL_RATE, PRESSURE, SLOW, TRIM, STATES = range(6)
 
 
-class Legs(NamedTuple):
-    """The legs of n runs.
-
-    Attributes:
-        dt: [s]. feed: (n,). mass: (J, J). numbers: (n, 11). valve: (n, 2, 2) state transition of
-            the valve over a step. axes, inputs: addresses of joints and actuators; home: (J,).
-            state: (n, J, STATES).
-    """
-
-    dt: float
-    feed: NDArray[np.bool_]
-    mass: Array
-    numbers: Array
-    valve: Array
-    axes: NDArray[np.int64]
-    inputs: NDArray[np.int64]
-    home: Array
-    state: Array
-
-
 @njit(cache=True)
-def _push(legs, plan, sub, qpos, qvel, ctrl):
-    dt, mass, axes, home, valve = legs.dt, legs.mass, legs.axes, legs.home, legs.valve
+def _push(legs, parameters, state, plan, sub, qpos, qvel, ctrl):
+    """legs: step [s], mass (J, J), addresses of joints and actuators, home (J,). parameters: those
+    of the legs (n, 10), state transition of the valve over a step (n, 2, 2), feed-forward (n,).
+    state: (n, J, STATES).
+    """
+    (dt, mass, axes, inputs, home), (numbers, valve, feed) = legs, parameters
     joints = mass.shape[0]
     for i in range(qpos.shape[0]):
-        p = legs.numbers[i]
+        p = numbers[i]
         area = p[AREA]
         for j in range(joints):
-            x, s, v = legs.state[i, j], qpos[i, axes[0, j]] - home[j], qvel[i, axes[1, j]]
+            x, s, v = state[i, j], qpos[i, axes[0, j]] - home[j], qvel[i, axes[1, j]]
             speed = p[GAIN] * (plan[i, sub, 0, j] - home[j] - quantised(s, p[ENCODER]))
             speed -= p[FEEDBACK] * (x[PRESSURE] - x[SLOW]) / area
-            if legs.feed[i]:
+            if feed[i]:
                 force = 0.0
                 for k in range(joints):
                     force += mass[j, k] * plan[i, sub, 2, k]
@@ -164,7 +157,7 @@ def _push(legs, plan, sub, qpos, qvel, ctrl):
             opening = min(max(x[SPOOL], -1.0), 1.0)
             drop = 1.0 - math.copysign(x[PRESSURE], opening * x[PRESSURE]) / p[SUPPLY]
             flow = p[FLOW] * opening * math.sqrt(max(drop, 0.0))
-            half = 0.5 * p[LENGTH]
+            half = 0.5 * STROKE
             stiffness = p[MODULUS] * (
                 1.0 / (p[DEAD] + area * max(half + s, 0.0))
                 + 1.0 / (p[DEAD] + area * max(half - s, 0.0))
@@ -173,25 +166,13 @@ def _push(legs, plan, sub, qpos, qvel, ctrl):
                 1.0 + dt * stiffness * p[LEAKAGE]
             )
             x[SLOW] += (x[PRESSURE] - x[SLOW]) * p[CORNER]
-            ctrl[i, legs.inputs[j]] = area * x[PRESSURE]
+            ctrl[i, inputs[j]] = area * x[PRESSURE]
 
 
 def _opening(flow: Array, pressure: Array, p: Array) -> Array:
     """Valve opening [-] for a flow [m^3/s] against a load pressure [Pa]."""
     drop = 1.0 - np.copysign(pressure, flow * pressure) / p[SUPPLY]
     return flow / (p[FLOW] * np.sqrt(np.maximum(drop, 1e-6)))
-
-
-def held_over(bandwidth: float, damping_ratio: float, dt: float) -> Array:
-    """``(2, 2)`` state transition of error and rate of x'' = w^2 (u - x) - 2 zeta w x' over ``dt``
-    [s] with constant u.
-    """
-    from scipy.linalg import expm
-
-    w = 2.0 * math.pi * bandwidth
-    return np.asarray(
-        expm(np.array([[0.0, 1.0], [-w * w, -2.0 * damping_ratio * w]]) * dt), dtype=float
-    )
 
 
 class Hydraulic(Drives):
@@ -202,33 +183,29 @@ class Hydraulic(Drives):
             part [Pa], trim of the valve [-].
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs, stroke: float
-    ) -> None:
-        """``stroke`` [m]; the settings have a section ``drive``."""
+    def __init__(self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs) -> None:
+        """The settings of each run have a section ``drive``."""
+        from scipy.linalg import expm
+
         super().__init__(model, kinematics, runs)
         drives = [s.drive for s in runs.settings]
-        numbers = np.array([_numbers(d, stroke, self.step) for d in drives])
+        corners = [1.0 - math.exp(-2.0 * math.pi * d.feedback_corner * self.step) for d in drives]
+        numbers = np.column_stack([*(runs.numbers(f"drive.{name}") for name in LEG), corners])
         self.encoder = numbers[:, ENCODER]
         self.cylinders = np.zeros((*self.load.shape, STATES))
-        valves = [held_over(d.valve.bandwidth, d.valve.damping_ratio, self.step) for d in drives]
-        self._legs = Legs(
-            dt=self.step,
-            feed=self.cycles.feed,
-            mass=np.ascontiguousarray(mass_matrix(kinematics, model)),
-            numbers=numbers,
-            valve=np.array(valves),
-            axes=self._axes,
-            inputs=self._inputs,
-            home=self._home,
-            state=self.cylinders,
-        )
+        valves = []
+        for valve in (d.valve for d in drives):
+            w = 2.0 * math.pi * valve.bandwidth
+            law = np.array([[0.0, 1.0], [-w * w, -2.0 * valve.damping_ratio * w]])
+            valves.append(expm(law * self.step))
+        self._numbers, self._valve = numbers, np.array(valves)
+        self._mass = np.ascontiguousarray(mass_matrix(kinematics, model))
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        p = self._legs.numbers.T[..., None]
+        p = self._numbers.T[..., None]
         pressure = self.load / p[AREA]
         flow = p[LEAKAGE] * pressure
-        moving = flow + p[AREA] * qvel[:, self._axes[1]]
+        moving = flow + p[AREA] * qvel[:, self.axes[1]]
         x = np.moveaxis(self.cylinders, 2, 0)
         x[PRESSURE], x[SLOW], x[SPOOL_RATE] = pressure, pressure, 0.0
         x[TRIM], x[SPOOL] = _opening(flow, pressure, p), _opening(moving, pressure, p)
@@ -236,25 +213,10 @@ class Hydraulic(Drives):
 
     @cached_property
     def _pushed(self) -> Call:
-        return Call(_push, self._legs, self.plan.steps, ..., GIVEN, GIVEN, GIVEN)
+        legs = self.step, self._mass, self.axes, self._inputs, self._home
+        parameters = self._numbers, self._valve, self.plan.feed
+        given = self.cylinders, self.plan.steps, ..., GIVEN, GIVEN, GIVEN
+        return Call(_push, legs, parameters, *given)
 
     def feedback(self) -> Array:
         return self.cylinders.reshape(len(self.cylinders), -1)
-
-
-def _numbers(drive: Any, stroke: float, step: float) -> list[float]:
-    """Parameters of a leg, in the order of the constants."""
-    corner = 1.0 - math.exp(-2.0 * math.pi * drive.feedback_corner * step)
-    return [
-        drive.area,
-        drive.supply,
-        drive.valve.flow,
-        drive.bulk_modulus,
-        drive.dead_volume,
-        stroke,
-        drive.leakage,
-        drive.pressure_feedback,
-        corner,
-        drive.gain,
-        drive.encoder_resolution,
-    ]

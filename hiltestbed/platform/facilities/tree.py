@@ -26,17 +26,6 @@ POINT, FRAME = 0, 1  # loops: two points coincide (3 rows), two frames coincide 
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
-class ToolPath(NamedTuple):
-    """What determines the tools' motion, of a :class:`JointTree`: what is read at every step."""
-
-    bodies: Integers
-    frames: Array
-    joints: Integers
-    axes: Array
-    tools: Integers
-    tool_frames: Array
-
-
 class JointTree(NamedTuple):
     """Constants of a kinematic tree of nb bodies, nj joints, nl loops, ne coupled joints, nt tools
     and np prescribed joints.
@@ -74,9 +63,9 @@ class JointTree(NamedTuple):
     prescribed: Integers
     unknown: Integers
 
-    def towards_tools(self) -> ToolPath:
-        """The moving bodies between the tools and the world: they determine the tools' motion. What
-        is fixed to one of them is a part of it.
+    def towards_tools(self) -> JointTree:
+        """Its moving bodies between the tools and the world, which determine the tools' motion, for
+        poses and velocities alone. What is fixed to one of them is a part of it.
         """
         tools = [
             self._moving(int(b), frame)
@@ -95,7 +84,7 @@ class JointTree(NamedTuple):
         parents = [new[found[b][0]] for b in order]
         joints = self.joints[chosen].reshape(-1, 4)
         joints[:, 1] = [new[int(b)] for b in joints[:, 1]]
-        return ToolPath(
+        return self._replace(
             bodies=np.column_stack([parents, starts, [len(joints) for joints in moved]]).astype(
                 np.int64
             ),

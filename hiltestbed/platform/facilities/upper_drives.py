@@ -11,8 +11,6 @@ upper platform is clamped.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
@@ -25,6 +23,7 @@ from hiltestbed.contact.composition import add_passive, drawn
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.contact.settings import Mechanism
 from hiltestbed.frames import Array, rotate_back, twist_between
+from hiltestbed.platform.driven import SPEED_LIMIT
 from hiltestbed.platform.facilities.composed import carried_load
 from hiltestbed.platform.facilities.facility import Runs, compiled
 from hiltestbed.platform.facilities.limbs import invert, jacobian, limb_forces, slider
@@ -36,7 +35,6 @@ from hiltestbed.platform.shipped.pss33 import Pss33
 MOVED_PER_DRIVE = 240.0  # [kg] a third of platform, payload and links, carriage and armature
 # [Hz] of the position loop, critically damped: longer limbs than the lower platform's
 BANDWIDTH = 25.0
-SPEED_LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
 
 
 def add_upper_passive(spec: mujoco.MjSpec, mechanism: Mechanism, prefix: str = "") -> None:
@@ -57,28 +55,17 @@ def upper_model(mechanism: Mechanism, timestep: float) -> mujoco.MjModel:
     return compiled(spec, timestep)
 
 
-class PlannedPort(NamedTuple):
-    """The planned motion of P of n runs.
-
-    Attributes:
-        pose (n, 7), twist (n, 6) in W: at the end of the last substep. load: (n, m + 1, 6) the
-            payload's wrench on the sensor at the start of each substep and at the end, in P.
-    """
-
-    pose: Array
-    twist: Array
-    load: Array
-
-
 @njit(cache=True)
 def _aim(upper, masses, payload, dt, port, plan, away, xs):
     """Plan a tick, as :class:`hiltestbed.platform.facilities.pss33.SliderDrives`, and its end.
 
-    masses: of the platform (16,) and a drive's share. payload: (13,). xs: (n, m, 3) coordinates at
-    the ends of the substeps.
+    masses: of the platform (16,) and a drive's share. payload: (13,). port: pose (n, 7) and twist
+    (n, 6) of P in W at the end of the last substep; load (n, m + 1, 6), the payload's wrench on the
+    sensor at the start of each substep and at the end, in P. xs: (n, m, 3) coordinates at the ends
+    of the substeps.
     """
-    moved, share = masses
-    pose, twist, target, velocity = port.pose, port.twist, plan.reference, plan.velocity
+    (moved, share), (pose, twist, loads) = masses, port
+    target, velocity = plan.reference, plan.velocity
     m = xs.shape[1]
     rates, jac, sliders = np.empty((6, 3)), np.empty((3, 6)), np.empty(3)
     lever, inverse, ways = np.empty((3, 3)), np.empty((3, 3)), np.empty((6, 3))
@@ -121,8 +108,8 @@ def _aim(upper, masses, payload, dt, port, plan, away, xs):
             copied(target[i], step[0])
             copied(velocity[i], step[1])
             carry(payload, pose[i, 3:7], twist[i, 3:6], accel, work, load)
-            rotate_back(pose[i, 3:7], load[0:3], port.load[i, s, 0:3])
-            rotate_back(pose[i, 3:7], load[3:6], port.load[i, s, 3:6])
+            rotate_back(pose[i, 3:7], load[0:3], loads[i, s, 0:3])
+            rotate_back(pose[i, 3:7], load[3:6], loads[i, s, 3:6])
             if s < m:
                 copied(goal, pose[i])
                 copied(rate, twist[i])
@@ -154,7 +141,7 @@ class UpperDrives(SliderDrives):
         bind, steps = self.batch.bind, substeps
         self._qpos, self._qvel, self._ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self._warmstart, self._reading = bind("qacc_warmstart"), bind("sensordata")
-        self._port = PlannedPort(np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, steps + 1, 6)))
+        self._port = np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, steps + 1, 6))
         self.plan = self.plan._replace(steps=np.zeros((n, steps + 1, 3, 3)))
         self.residual, self.left = np.zeros((n, steps, 6)), np.zeros((n, 2))
         self._passed_over = np.zeros(n, dtype=bool)
@@ -166,7 +153,7 @@ class UpperDrives(SliderDrives):
         """Put run ``i`` in a motion with ``rates`` (3,) at the coordinates ``x`` (3,)."""
         self._warmstart[i] = 0.0
         arm, before, ways, none = np.empty(3), np.empty(7), np.empty((6, 3)), np.empty(0)
-        pose, twist = self._port.pose[i], self._port.twist[i]
+        pose, twist = self._port[0][i], self._port[1][i]
         place(self.upper.shape, x, pose)
         motion(self.upper.shape, x, ways)
         self._qpos[i], self._qvel[i] = self.kinematics.motion(pose, ways @ rates, none, none)
@@ -199,7 +186,7 @@ class UpperDrives(SliderDrives):
         """Subtract the payload from the sensor's reading: the residual is a wrench of active on
         passive side, zero while clamped.
         """
-        rest = self._port.load[going, s + 1] - self._reading[going, :6]
+        rest = self._port[2][going, s + 1] - self._reading[going, :6]
         self.residual[going, s] = rest
         x, y, z = np.moveaxis(rest.reshape(-1, 2, 3), 2, 0)
         size = np.sqrt(x**2 + y**2 + z**2)

@@ -37,8 +37,19 @@ class ArmController(Strictly):
     )
 
 
+class Arms(Driven):
+    """Industrial arms with controllers of their own."""
+
+    drives: ClassVar[tuple[str, ...]] = ("controller", "command")
+
+    def cure(self, lost: float) -> tuple[str, dict[str, Any]]:
+        force = {"kind": "virtual_contact", "damping": lost}
+        hybrid = {"force": force, "motion": {"kind": "feedforward"}}
+        return "hybrid: a virtual damper in parallel with the real contact (EPOS)", hybrid
+
+
 @register
-class SerialArmSettings(Driven):
+class SerialArmSettings(Arms):
     """A six-axis industrial arm of the 200-kg class."""
 
     distorts: ClassVar[str] = (
@@ -48,7 +59,6 @@ class SerialArmSettings(Driven):
         "damper in parallel restores the damping, as at EPOS."
     )
 
-    drives: ClassVar[tuple[str, ...]] = ("controller", "command")
     kind: Literal["serial_arm"]
     controller: ArmController = Field(
         default=ArmController(), description="Controller and motors of the arm"
@@ -59,16 +69,9 @@ class SerialArmSettings(Driven):
         "EPOS; a delay of two cycles [recalled]",
     )
 
-    def cure(self, lost: float) -> tuple[str, dict[str, Any]]:
-        force = {"kind": "virtual_contact", "damping": lost}
-        return "hybrid: a virtual damper in parallel with the real contact (EPOS)", {
-            "force": force,
-            "motion": {"kind": "feedforward"},
-        }
-
 
 @register
-class TwoArmsSettings(Driven):
+class TwoArmsSettings(Arms):
     """Two industrial arms of the 200-kg class, the passive one on a rail."""
 
     distorts: ClassVar[str] = (
@@ -77,7 +80,6 @@ class TwoArmsSettings(Driven):
         "mechanism act on the sensor and are subtracted from the reading."
     )
 
-    drives: ClassVar[tuple[str, ...]] = ("controller", "command")
     kind: Literal["two_arms"]
     passive_share: Annotated[float, Field(ge=0, le=1)] = Field(
         default=0.5,
@@ -91,10 +93,3 @@ class TwoArmsSettings(Driven):
         default=CommandPath(controller_rate=250.0, delay_cycles=2),
         description="Path of commands to both arms; EPOS is commanded at 250 Hz",
     )
-
-    def cure(self, lost: float) -> tuple[str, dict[str, Any]]:
-        force = {"kind": "virtual_contact", "damping": lost}
-        return "hybrid: a virtual damper in parallel with the real contact (EPOS)", {
-            "force": force,
-            "motion": {"kind": "feedforward"},
-        }

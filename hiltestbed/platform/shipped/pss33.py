@@ -159,26 +159,13 @@ class Pss33(Driven):
         if scenario.rig.upper.kind == "prs3":
             return
         approach, reach = scenario.approach, self.workspace.translation
-        turn = self.workspace.rotation_deg
-        lowest = -reach if scenario.mechanism.captured else 0.0
-        limits: list[tuple[tuple[str | int, ...], float, float, float, str]] = [
-            (("gap",), approach.gap, lowest, reach, "m"),
-            *(
-                (("offset", k), value, -reach, reach, "m")
-                for k, value in enumerate(approach.offset)
-            ),
-            *(
-                (("attitude_deg", k), value, -turn, turn, "deg")
-                for k, value in enumerate(approach.attitude_deg)
-            ),
-        ]
-        for path, value, low, high, unit in limits:
-            if not low <= value <= high:
-                yield (
-                    ("approach", *path),
-                    f"starts outside the workspace (got {value:g} {unit}); allowed is {low:g} to "
-                    f"{high:g} {unit}",
-                )
+        yield from self._gap_outside(scenario, reach)
+        for name, widest, unit in (
+            ("offset", reach, "m"),
+            ("attitude_deg", self.workspace.rotation_deg, "deg"),
+        ):
+            for k, value in enumerate(getattr(approach, name)):
+                yield from _outside((name, k), value, -widest, widest, unit)
 
     def start_problems(self, scenario: Scenario) -> Iterator[Problem]:
         """With nine axes the gap may be the upper platform's heave; the lower one must reach its
@@ -193,13 +180,8 @@ class Pss33(Driven):
 
         approach = scenario.approach
         reach, widest = self.workspace.translation, self.workspace.rotation_deg
-        lowest = -reach if scenario.mechanism.captured else 0.0
-        if not lowest <= approach.gap <= LONGEST:
-            yield (
-                ("approach", "gap"),
-                f"starts outside the workspace (got {approach.gap:g} m); allowed is {lowest:g} to "
-                f"{LONGEST:g} m",
-            )
+        if outside := list(self._gap_outside(scenario, LONGEST)):
+            yield from outside
             return
         if not abs(approach.velocity[2]) <= UPPER_SPEED:
             yield (
@@ -221,3 +203,18 @@ class Pss33(Driven):
                 f"by up to {turn.max():.3g} deg); allowed are {reach:g} m and {widest:g} deg on "
                 "each axis: take a smaller offset or attitude_deg",
             )
+
+    def _gap_outside(self, scenario: Scenario, most: float) -> Iterator[Problem]:
+        least = -self.workspace.translation if scenario.mechanism.captured else 0.0
+        return _outside(("gap",), scenario.approach.gap, least, most, "m")
+
+
+def _outside(
+    path: tuple[str | int, ...], value: float, low: float, high: float, unit: str
+) -> Iterator[Problem]:
+    if not low <= value <= high:
+        yield (
+            ("approach", *path),
+            f"starts outside the workspace (got {value:g} {unit}); allowed is {low:g} to "
+            f"{high:g} {unit}",
+        )
