@@ -31,6 +31,11 @@ RING_FAULTS = {
 }
 
 
+# headers of delays_of and estimates_of
+DELAYS = ("source", "delay [ms]", "as damping [N s/m]")
+ESTIMATES = ("axis", "k ± sd", "true", "error", "c ± sd", "true", "error", "samples")
+
+
 @dataclass(frozen=True)
 class Assessment:
     """Assessment of a run.
@@ -249,6 +254,28 @@ def identified(summary: dict[str, Any]) -> dict[str, dict[str, Any]]:
         {"normal": summary["identification_normal"]} if "identification_normal" in summary else {}
     )
     return {axis: values for axis, values in every.items() if values["stiffness"] is not None}
+
+
+def estimates_of(summary: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Cells below :data:`ESTIMATES`: identified with its sd, true, and the error in per cent."""
+    rows = []
+    for axis, values in identified(summary).items():
+        cells = [axis]
+        for quantity in ("stiffness", "damping"):
+            value, true, sd = (values.get(quantity + part) for part in ("", "_true", "_sd"))
+            sure = "" if sd is None else f" ± {sd:.0f}" if sd >= 10.0 else f" ± {sd:.2g}"
+            error = f"{100.0 * (value / true - 1.0):+z.2f} %" if value is not None and true else ""
+            cells += [number(value, 6) + sure * (value is not None), number(true, 6), error]
+        rows.append((*cells, str(values["samples"])))
+    return rows
+
+
+def delays_of(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Cells of the delay ledger below :data:`DELAYS`."""
+    return [
+        (e["source"], f"{1e3 * e['delay']:+.4f}", f"{e['equivalent_damping']:+.2f}")
+        for e in summary["delay_ledger"]
+    ]
 
 
 def largest_delay(summary: dict[str, Any]) -> dict[str, Any] | None:

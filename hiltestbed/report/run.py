@@ -10,11 +10,14 @@ import numpy as np
 
 from hiltestbed.analysis.assessment import (
     CLOSE,
+    DELAYS,
+    ESTIMATES,
     NEUTRAL,
     assess,
+    delays_of,
     energy_share,
+    estimates_of,
     figures_of,
-    identified,
 )
 from hiltestbed.analysis.limits import in_cells
 from hiltestbed.analysis.metrics import energy_generated
@@ -26,7 +29,6 @@ from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.report.curves import PALETTE, POINTS, shade_contacts
 from hiltestbed.report.page import Report, new_figure, provenance
-from hiltestbed.report.table import against
 from hiltestbed.run_folder.folders import number
 from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario.limits import DockingLimits
@@ -120,10 +122,6 @@ def _margin(contact: Pair, summary: dict[str, Any]) -> str:
 def _ledger(report: Report, summary: dict[str, Any]) -> None:
     if not summary["delay_ledger"]:
         return
-    rows = [
-        (e["source"], f"{1e3 * e['delay']:+.4f}", f"{e['equivalent_damping']:+.2f}")
-        for e in summary["delay_ledger"]
-    ]
     caption = (
         "Effect of each delay: a delay tau acts on a contact of stiffness k like a "
         "damping of -k tau."
@@ -131,7 +129,7 @@ def _ledger(report: Report, summary: dict[str, Any]) -> None:
     predicted = summary.get("cor_log_error_predicted")
     if predicted is not None:
         caption += f" Their sum predicts {predicted:+.4f} for the ln of the ratio."
-    report.table(("source", "delay [ms]", "as damping [N s/m]"), rows, caption)
+    report.table(DELAYS, delays_of(summary), caption)
 
 
 def _limits(report: Report, limits: DockingLimits | None, summary: dict[str, Any]) -> None:
@@ -146,15 +144,11 @@ def _limits(report: Report, limits: DockingLimits | None, summary: dict[str, Any
 
 
 def _identified(report: Report, run: Run) -> None:
-    rows, found = [], identified(run.summary)
-    for axis, values in found.items():
-        cells = [axis, *against(values, "stiffness"), *against(values, "damping")]
-        rows.append([*cells, values["samples"]])
+    rows = estimates_of(run.summary)
     report.heading("What was identified")
     if rows:
-        header = ("axis", "k ± sd", "true", "error", "c ± sd", "true", "error", "samples")
         caption = "k in N/m (rx, ry, rz: N m/rad), c in N s/m (N m s/rad)."
-        report.table(header, rows, caption + NORMAL * ("normal" in found))
+        report.table(ESTIMATES, rows, caption + NORMAL * (rows[-1][0] == "normal"))
     else:
         report.text(f"Neither stiffness nor damping was identified: {_why_not(run)}.")
 
