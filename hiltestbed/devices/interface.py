@@ -257,8 +257,8 @@ class SensorServer(Link):
     """The device's side of a force sensor."""
 
     @abstractmethod
-    def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
-        """Send the wrench (6,) of this instant with the device's time [s] and status (0: good)."""
+    def publish(self, wrench: Array, device_time: float) -> None:
+        """Send the wrench (6,) of this instant with the device's time [s]."""
 
 
 class PlatformServer(Link):
@@ -290,8 +290,8 @@ class PlatformServer(Link):
         return taken
 
     @abstractmethod
-    def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
-        """Begin a cycle: send the pose (7,) reached now, the device's time [s] and its status."""
+    def publish(self, pose: Array, device_time: float) -> None:
+        """Begin a cycle: send the pose (7,) reached now and the device's time [s]."""
 
 
 @dataclass(frozen=True)

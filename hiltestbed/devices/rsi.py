@@ -305,7 +305,7 @@ class RsiServer(sockets.Datagrams, PlatformServer):
         self._towards = sockets.resolve(self.settings.host, self.settings.port, self.where)
         self._socket = sockets.sending_udp(self._towards, self.where)
 
-    def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
+    def publish(self, pose: Array, device_time: float) -> None:
         if self._socket is None or self.stopped is not None:
             return
         self.poll()
@@ -314,9 +314,6 @@ class RsiServer(sockets.Datagrams, PlatformServer):
         elif not self._answered and self.commanded:
             self._missed()
         self._start(pose)
-        if status:
-            self.stopped = f"the controller reports {status:#x}"
-            return
         self._ipoc += self.settings.period_ms
         self._answered = False
         reached, wanted = (

@@ -178,9 +178,9 @@ class UdpSensorServer(sockets.Datagrams, SensorServer):
         """A sensor receives nothing."""
         return False
 
-    def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
+    def publish(self, wrench: Array, device_time: float) -> None:
         self._number += 1
-        self._send_to(self._record.pack(wrench, self._number, device_time, status), self._peer)
+        self._send_to(self._record.pack(wrench, self._number, device_time), self._peer)
 
 
 class UdpPlatformServer(_Receiver, NumberedServer):
@@ -198,8 +198,8 @@ class UdpPlatformServer(_Receiver, NumberedServer):
     def _accept(self) -> bool:
         return self._commanded(self._record.values, self._record.flag)
 
-    def _report(self, pose: Array, number: int, device_time: float, status: int) -> None:
-        self._send_to(self._state.pack(pose, number, device_time, status), self._peer)
+    def _report(self, pose: Array, number: int, device_time: float) -> None:
+        self._send_to(self._state.pack(pose, number, device_time), self._peer)
 
 
 PROTOCOL = Protocol(
