@@ -302,15 +302,6 @@ def largest_delay(summary: dict[str, Any]) -> dict[str, Any] | None:
     )
 
 
-def _lags_later(summary: dict[str, Any]) -> bool:
-    """Whether the rig makes energy in a later touch, whose line the compensation does not know."""
-    ways = (summary.get("stability") or {}).get("directions", ())
-    return any(
-        way["direction"].endswith("later touch") and (way.get("rig_energy") or 0.0) > NEUTRAL
-        for way in ways
-    )
-
-
 def _cure(source: str, ledger: list[dict[str, Any]]) -> str:
     """How to remove the delay of the ledger entry ``source``."""
     if source.startswith("effects."):
@@ -366,7 +357,12 @@ def _advice(summary: dict[str, Any]) -> list[str]:
                 f"({1e3 * largest['delay']:.3g} ms): "
                 f"{_cure(largest['source'], summary['delay_ledger'])}."
             )
-        if is_active(summary) and _lags_later(summary):
+        later = [
+            way.get("rig_energy") or 0.0
+            for way in (summary.get("stability") or {}).get("directions", ())
+            if way["direction"].endswith("later touch")
+        ]
+        if is_active(summary) and max(later, default=0.0) > NEUTRAL:
             out.append(
                 "In a later touch, elsewhere on the surface, the compensation does not know the "
                 "line of the force yet, so the platform's "

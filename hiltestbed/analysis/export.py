@@ -135,7 +135,7 @@ def _rig(s: Scenario, head: Sequence[str]) -> Exported:
         elif kind in ON_PLATFORM and p.get("axis", "all") in ("all", "z"):
             servo.append(_as_servo(kind, p))
         else:
-            unsaid.append(_unsaid(e))
+            unsaid.append(f"{_stated(e)}. {EFFECTS[e.kind].meaning()}")
             continue
         said.append(_stated(e))
     contact = SpringDamper(
@@ -179,10 +179,6 @@ def _as_servo(kind: str, p: dict[str, Any]) -> dict[str, Any]:
 def _stated(e: Effect) -> str:
     given = e.model_dump(exclude={"kind"}, exclude_none=True)
     return f"{e.kind}: {', '.join(f'{name} {value}' for name, value in given.items())}"
-
-
-def _unsaid(e: Effect) -> str:
-    return f"{_stated(e)}. {EFFECTS[e.kind].meaning()}"
 
 
 def _nominal(s: Scenario) -> list[str]:

@@ -29,26 +29,19 @@ def stability_of_file(
     overridden.
     """
     scenario = load_scenario(path, set)
-    if plugins.loaded():  # what a user's module imports is not part of the hash
-        return _computed(scenario)
-    kept = _folder() / f"{_key(scenario)}.json"
-    with suppress(OSError, ValueError):
-        return json.loads(kept.read_text(encoding="utf-8"))
-    found = _computed(scenario)
-    with suppress(OSError):  # without a folder that can be written, it is computed each time
-        _write(kept, json.dumps(found))
-    return found
-
-
-def _computed(scenario: Scenario) -> dict[str, Any] | None:
+    kept = None
+    if not plugins.loaded():  # what a user's module imports is not part of the hash
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+        kept = cache / "hiltestbed" / "stability" / f"{_key(scenario)}.json"
+        with suppress(OSError, ValueError):
+            return json.loads(kept.read_text(encoding="utf-8"))
     from hiltestbed.analysis.stability import stability
 
-    return stability(scenario)
-
-
-def _folder() -> Path:
-    cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return Path(cache) / "hiltestbed" / "stability"
+    found = stability(scenario)
+    with suppress(OSError):  # without a folder that can be written, it is computed each time
+        if kept is not None:
+            _write(kept, json.dumps(found))
+    return found
 
 
 def _key(scenario: Scenario) -> str:

@@ -22,6 +22,7 @@ from hiltestbed.build import motion_command, runnable_from
 from hiltestbed.frames import Array, rotation_vectors
 from hiltestbed.platform.build import plant_of
 from hiltestbed.scenario import Scenario, resolved
+from hiltestbed.signals import AXES
 
 Complex = NDArray[np.complex128]
 LINES = 100  # [Hz] sines at 1, 2, ... Hz
@@ -33,8 +34,7 @@ MAX_AMPLITUDE, MAX_ACCELERATION = 1e-3, 0.3
 FORCE_AMPLITUDE = 20.0  # [N] amplitude of each sine of the force
 ARM = 0.6  # [m] converts angles to lengths and forces to torques: the height of a docking mechanism
 FINE = 50  # interpolated points per line spacing
-ALONG = 2  # the axis of the insertion
-AXES = ("x", "y", "z", "rx", "ry", "rz")
+ALONG = AXES.index("z")  # the axis of the insertion
 
 
 @dataclass(frozen=True)

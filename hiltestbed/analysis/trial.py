@@ -67,7 +67,6 @@ BELOW_ANY_BOUNCE = 1e-12  # [m/s] limit for a latch to close, below the speed of
 ROUNDS = 4  # searches for a limit, at most
 # relative change at which a limit has converged; relative resolution of a computed rebound
 SAME = 2e-3
-CHECK_INTERVAL = 10  # ticks between two checks of whether the bodies have separated
 STEPS = 500  # per bounce: error of e 2e-3
 # half periods of the contact, and lags of the loop, that together bound the duration of a bounce
 HALF_PERIODS, LAGS = 1.3, 3.0
@@ -131,7 +130,7 @@ class FirstContact:
             # a denominator is zero or has overflowed, with numbers far from those of any rig
             except ZeroDivisionError:
                 return None
-            if loop.k % CHECK_INTERVAL == 0 and loop.tally.rebounded[0] and loop.alive[0]:
+            if loop.tally.rebounded[0]:
                 break
         return self._ended(loop) if loop.alive[0] else None
 

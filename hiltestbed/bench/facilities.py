@@ -27,11 +27,10 @@ from hiltestbed.report.page import Report, new_figure
 from hiltestbed.scenario import Scenario, load_scenario, resolved
 from hiltestbed.simulation import log_error, reference_scenario, simulate
 
-DELAY = 0.002  # [s] of the force sensor
 RATIO = 0.05  # damping ratio of the contacts
 STIFFNESS = (1.0e4, 5.0e4, 1.0e5)  # [N/m]: 0.8, 1.8, 2.5 Hz
 LEAST = 1e-4  # smallest |ln(e/e_ref)| that is drawn
-QUIET = {"sensor": {"delay": DELAY}, "identification.kind": "none"}
+QUIET = {"sensor": {"delay": 0.002}, "identification.kind": "none"}
 NONE = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
 Progress = Callable[[int, int], None]
 
@@ -103,7 +102,11 @@ def treatments(scenario: Scenario) -> dict[str, tuple[dict[str, Any], str]]:
         return {"as it is": (NONE, "none")}
     contact = scenario.mechanism.contact
     judged = stability(treated(scenario, NONE | {"motion": {"kind": "feedforward"}}))
-    lost = contact.damping - judged["net_damping"] if judged else contact.stiffness * DELAY
+    lost = (
+        contact.damping - judged["net_damping"]
+        if judged
+        else contact.stiffness * scenario.sensor.delay
+    )
     method, cure = platform.cure(max(lost, 0.0))
     return {"uncompensated": (NONE, "none"), method: (cure, "none"), "default": ({}, "rls")}
 

@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.bench.contacts import BenchContact, bounce, grid
+from hiltestbed.bench.contacts import AXIAL, BenchContact, bounce, grid
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.report.page import Report, new_figure
 
 Progress = Callable[[int, int], None]
-THREADS = 2
 FORCE = {"kind": "resynchronised"}
 METHODS: dict[str, dict[str, Any]] = {
     "rls": {"kind": "rls"},
@@ -32,7 +31,6 @@ METHODS: dict[str, dict[str, Any]] = {
 }
 NOISES = (0.001, 0.002, 0.005, 0.02)  # of the peak force
 NORMAL_95 = 1.96
-AXIAL = 2
 CALIBRATION = BenchContact(4.0, 0.01, 0.05)
 
 
@@ -79,7 +77,7 @@ def measure(
         for c in contacts
         for seed in range(seeds)
     ]
-    result = bounce([c.scenario(FORCE, METHODS[method]) for c in runs], THREADS)
+    result = bounce([c.scenario(FORCE, METHODS[method]) for c in runs])
     estimate: Any = result.loop.identification
     stiffness, damping = estimate.stiffness[:, AXIAL], estimate.damping[:, AXIAL]
     records = []
@@ -111,7 +109,7 @@ def _spread(name: str, errors: np.ndarray) -> dict[str, Any]:
 def interval_coverage(seeds: int) -> dict[str, float]:
     """Share of seeds whose 95 % interval of k, and of c, contains the true value."""
     runs = [replace(CALIBRATION, seed=seed) for seed in range(seeds)]
-    result = bounce([c.scenario(FORCE, METHODS["rls"]) for c in runs], THREADS)
+    result = bounce([c.scenario(FORCE, METHODS["rls"]) for c in runs])
     estimate = result.loop.identification
     held = {}
     for name, truth in (("stiffness", CALIBRATION.stiffness), ("damping", CALIBRATION.damping)):

@@ -38,7 +38,6 @@ UNITS = {"energy_generated": "J", "peak_force": "N", "contact_duration": "s", "t
 LINEAR_BELOW = 0.01
 MESH = 24  # points per side at which the boundary is evaluated
 BANDS = 16  # parts of a key over which a band is drawn
-MARGINAL_CHOICES = 6  # lines that can be distinguished in one figure
 
 
 def heat_maps(

@@ -16,6 +16,7 @@ from hiltestbed.campaign.columns import CaseGroup, choices_of, in_words, is_nume
 from hiltestbed.campaign.schema import FIGURES, LoadedCampaign, Variation
 from hiltestbed.campaign.sensitivity import Sensitivity, explained_share, sensitivity
 from hiltestbed.frames import Array
+from hiltestbed.report.curves import PALETTE
 from hiltestbed.report.page import Report
 from hiltestbed.run_folder.folders import number, parquet_table
 
@@ -224,10 +225,10 @@ def _marginals(
     numeric = cases.numbers(strongest)
     if not numeric or np.isfinite(cases.figure).sum() < 8:
         return
-    from hiltestbed.campaign.figures import MARGINAL_CHOICES, marginals
+    from hiltestbed.campaign.figures import marginals
 
     report.heading(f"{cases.response} over each key alone")
-    shown = choices[:MARGINAL_CHOICES]
+    shown = choices[: len(PALETTE)]
     some = {key: cases.inputs[key] for key in numeric[:6]}
     picture = marginals(cases.campaign, some, cases.figure, cases.response, shown)
     words = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -17,7 +18,7 @@ from hiltestbed.build import runnable_from
 from hiltestbed.campaign import engines
 from hiltestbed.campaign.cases import case_values, structural_keys
 from hiltestbed.campaign.schema import LoadedCampaign, load_campaign
-from hiltestbed.campaign.store import CASES, Store, read_about, refuse_another
+from hiltestbed.campaign.store import CASES, LOCK, Store, read_about, refuse_another
 from hiltestbed.config.yaml_source import key_path
 from hiltestbed.errors import InputError, MissingExtra
 from hiltestbed.run_folder.folders import html_table, parquet_table, safe_name
@@ -87,7 +88,7 @@ def sweep(
         raise InputError(f"--workers {workers}: is out of range; allowed is 1 or more")
     folder = Path(out) if out is not None else default_folder(campaign)
     refuse_another(folder, campaign)
-    if Store(folder, campaign).is_complete():
+    if (folder / CASES).is_file() and read_about(folder).get("status") == "complete":
         return read_sweep(folder)
     engine, name = engines.serial, "this process"
     if scheduler:
@@ -159,7 +160,8 @@ def _finish(store: Store, engine: str, chunk: int, ran: int, wall: float) -> Non
     spent |= {"work": sum(entry["wall"] for entry in walls), "chunks": walls}
     about = {"status": "complete", "counts": counts, "engine": engine, "chunk": chunk}
     store.write_about(about | {"wall": spent})
-    store.remove_chunks()
+    shutil.rmtree(store.chunks, ignore_errors=True)  # cases.parquet has their rows
+    (store.folder / LOCK).unlink(missing_ok=True)
 
 
 def case_scenario(

@@ -92,7 +92,9 @@ def live(
     from hiltestbed.run_folder.folders import safe_name
     from hiltestbed.run_folder.store import write_run
 
-    spec = _for_seconds(scenario, sets, seconds)
+    if seconds is not None:
+        sets = [*(sets or []), f"duration={seconds!r}"]
+    spec = read_scenario(scenario, sets)
     folder = result_folder(out, safe_name(f"{spec.name}-live"))
     interrupt.track_shared_memory()
     # remains if the process dies; deleted once the run is written
@@ -227,15 +229,11 @@ def fmu(
 def _options(devices: DeviceOptions, record: Path | None = None) -> Options:
     from hiltestbed.devices.session import Options
 
+    def say(step: str) -> None:
+        print(step, file=sys.stderr, flush=True)
+
     return Options(
-        devices.sensor, devices.platform, devices.arm, devices.cpu, record=record, say=_say
-    )
-
-
-def _for_seconds(file: Path, sets: list[str] | None, seconds: float | None) -> Scenario:
-    """The scenario in a file, with its duration replaced by ``seconds`` if given."""
-    return read_scenario(
-        file, [*(sets or []), *([f"duration={seconds!r}"] if seconds is not None else [])]
+        devices.sensor, devices.platform, devices.arm, devices.cpu, record=record, say=say
     )
 
 
@@ -263,10 +261,6 @@ def _print_commission(found: dict[str, Any], folder: Path) -> None:
         f"{folder}: nominal.yaml, believed.yaml, dataset.yaml; next: hiltestbed diagnose "
         f"{folder / 'dataset.yaml'}"
     )
-
-
-def _say(step: str) -> None:
-    print(step, file=sys.stderr, flush=True)
 
 
 def _print_observed(observed: Observed, scenario: Scenario, as_json: bool) -> None:

@@ -242,7 +242,8 @@ class Session:
     def _run(self) -> None:
         if not self._approach():
             return
-        self.rig.tick_zero()
+        self.rig.log.k, self.rig.log.rows[:] = 0, 0.0
+        self.rig.missed, self.rig.late_work = 0, 0.0
         began = time.perf_counter()
         try:
             while self.loop.k < self.scenario.ticks and self.loop.alive[0]:

@@ -27,7 +27,7 @@ from hiltestbed.contact.sides import sides_of
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.report.curves import PALETTE, POINTS, shade_contacts
+from hiltestbed.report.curves import PALETTE, POINTS, shade_contacts, span_of_contact
 from hiltestbed.report.page import Report, new_figure, provenance
 from hiltestbed.run_folder.folders import number
 from hiltestbed.run_folder.result import Run
@@ -209,20 +209,9 @@ def _signals(trace: RunTrace):
 
 def _shown(trace: RunTrace) -> np.ndarray:
     """The rows of the displayed span, at most as many as can be distinguished."""
-    start, end = _span(trace)
+    start, end = span_of_contact(trace)
     rows = np.flatnonzero((trace.t >= start) & (trace.t <= end))
     return rows[:: max(1, len(rows) // POINTS)]
-
-
-def _span(trace: RunTrace) -> tuple[float, float]:
-    """From shortly before the first contact to after the last; all if that is most of the run."""
-    start, end = float(trace.t[0]), float(trace.t[-1])
-    if trace.contact.any():
-        first = float(trace.t[np.argmax(trace.contact)])
-        last = float(trace.t[len(trace.t) - 1 - np.argmax(trace.contact[::-1])])
-        margin = max(0.25 * (last - first), 0.02)
-        return max(start, first - margin), min(end, last + margin)
-    return start, end
 
 
 def _energy(trace: RunTrace, made: Array, approach: float | None):

@@ -25,7 +25,7 @@ from hiltestbed.run_folder.folders import parquet_table
 from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario import Scenario, load_scenario, put, resolved
 from hiltestbed.signals import RunTrace, about_column, groups
-from hiltestbed.supervision.snapshot import Snapshot, flatten, unflatten
+from hiltestbed.supervision.snapshot import flatten, unflatten
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -203,7 +203,11 @@ def read_run(path: str | Path) -> Run:
         )
     summary: dict[str, Any] = json.loads((path / SUMMARY).read_text(encoding="utf-8"))
     trace = read_trace(path / TRACE) if (path / TRACE).is_file() else None
-    return Run(_scenario_of(path, summary), summary, trace, _read_failure(path / FAILURE))
+    failure = None
+    if (path / FAILURE).is_file():
+        with np.load(path / FAILURE) as arrays:
+            failure = unflatten(dict(arrays))
+    return Run(_scenario_of(path, summary), summary, trace, failure)
 
 
 def _scenario_of(path: Path, summary: dict[str, Any]) -> Scenario:
@@ -220,13 +224,6 @@ def _scenario_of(path: Path, summary: dict[str, Any]) -> Scenario:
             f"path), from Python hiltestbed.load_plugins"
         )
         raise InputError([*error.faults, Fault(str(path), None, None, "", hint)]) from None
-
-
-def _read_failure(path: Path) -> Snapshot | None:
-    if not path.is_file():
-        return None
-    with np.load(path) as arrays:
-        return unflatten(dict(arrays))
 
 
 def write_trace(trace: RunTrace, path: Path) -> None:

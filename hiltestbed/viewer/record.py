@@ -46,7 +46,8 @@ def write_recording(path: Path, run: Run) -> None:
     trace = run.trace
     rows = frame_rows(trace, run.scenario.rate)
     facts = ShownRun(run, trace, force_scale(_peak(trace)))
-    with recording_file(path, _identity(run), layout(facts)) as rec:
+    identity = f"{run.summary['name']}-{run.summary['scenario_sha256'][:12]}"
+    with recording_file(path, identity, layout(facts)) as rec:
         rec.send_recording_name(run.scenario.name)
         rec.log(
             "figures", rr.TextDocument(figures(run), media_type=rr.MediaType.MARKDOWN), static=True
@@ -85,11 +86,6 @@ def _peak(trace: RunTrace) -> float:
 def _felt(trace: RunTrace) -> NDArray[np.float64]:
     """(rows, 6) the contact wrench; with real devices, which do not measure it, the sensor's."""
     return trace["wrench_meas"] if np.isnan(trace["wrench_true"]).all() else trace["wrench_true"]
-
-
-def _identity(run: Run) -> str:
-    """Recording id: the same for the same run."""
-    return f"{run.summary['name']}-{run.summary['scenario_sha256'][:12]}"
 
 
 def frame_rows(trace: RunTrace, rate: float) -> NDArray[np.intp]:

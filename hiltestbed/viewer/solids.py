@@ -12,7 +12,6 @@ from scipy.spatial import ConvexHull
 from hiltestbed.frames import Array
 
 SEGMENTS = 48  # around an axis of revolution
-ARC = 10  # rings of a quarter circle
 BEVEL = 0.008  # [m] bevel of an edge, at most a quarter of the smallest half size
 PLANE = 4.0  # [m] half side with which an infinite plane is drawn
 
@@ -106,7 +105,7 @@ def cylinder(radius: float, half: float, rgba: Array) -> Solid:
 
 def capsule(radius: float, half: float, rgba: Array) -> Solid:
     """About z, ``half`` [m]: half the distance of its ends' centres; 0: a sphere."""
-    a = np.linspace(-0.5 * np.pi, 0.0, ARC + 1)
+    a = np.linspace(-0.5 * np.pi, 0.0, SEGMENTS // 4 + 1)
     lower = np.stack([radius * np.cos(a), radius * np.sin(a) - half, np.cos(a), np.sin(a)], axis=-1)
     return revolved(np.concatenate([lower, (lower * [1.0, -1.0, 1.0, -1.0])[::-1]]), rgba)
 
