@@ -19,7 +19,7 @@ from typing import Any
 
 from hiltestbed import plugins
 from hiltestbed.run_folder.versions import provenance
-from hiltestbed.scenario import Scenario, identity, load_scenario
+from hiltestbed.scenario import identity, load_scenario
 
 
 def stability_of_file(
@@ -32,7 +32,9 @@ def stability_of_file(
     kept = None
     if not plugins.loaded():  # what a user's module imports is not part of the hash
         cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-        kept = cache / "hiltestbed" / "stability" / f"{_key(scenario)}.json"
+        depends = json.dumps([identity(scenario), provenance()], sort_keys=True)
+        key = hashlib.sha256(depends.encode()).hexdigest()
+        kept = cache / "hiltestbed" / "stability" / f"{key}.json"
         with suppress(OSError, ValueError):
             return json.loads(kept.read_text(encoding="utf-8"))
     from hiltestbed.analysis.stability import stability
@@ -42,12 +44,6 @@ def stability_of_file(
         if kept is not None:
             _write(kept, json.dumps(found))
     return found
-
-
-def _key(scenario: Scenario) -> str:
-    """Hash of everything that the verdict depends on."""
-    depends = json.dumps([identity(scenario), provenance()], sort_keys=True)
-    return hashlib.sha256(depends.encode()).hexdigest()
 
 
 def _write(file: Path, text: str) -> None:

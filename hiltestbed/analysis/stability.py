@@ -330,28 +330,16 @@ def net_damping(
     """Frequency of the contact [Hz], its net damping [N s/m]; None beyond those measured."""
     w = 2.0 * math.pi * fine.frequency
     dynamic = _dynamic(fine, stiffness, damping) * np.exp(-1j * w * delay)
-    balance = dynamic.real - mass * w * w
-    k = _crossing(balance)
-    if k is None:
-        return None
-    at = _between(balance, k)
-    swing = w[k] + at * (w[k + 1] - w[k])
-    across = dynamic.imag[k] + at * (dynamic.imag[k + 1] - dynamic.imag[k])
-    return float(swing / (2.0 * math.pi)), float(across / swing)
+    found = _at_crossing(w, dynamic.real - mass * w * w, dynamic.imag)
+    return None if found is None else (found[0] / (2.0 * math.pi), found[1] / found[0])
 
 
 def largest_delay(fine: RigResponse, mass: float, stiffness: float, damping: float) -> float | None:
     """Delay of the force [s] at which the net damping is zero; None beyond those measured."""
     w = 2.0 * math.pi * fine.frequency
     dynamic = _dynamic(fine, stiffness, damping)
-    balance = np.abs(dynamic) - mass * w * w
-    k = _crossing(balance)
-    if k is None:
-        return None
-    at = _between(balance, k)
-    phase = np.unwrap(np.angle(dynamic))
-    swing = w[k] + at * (w[k + 1] - w[k])
-    return float((phase[k] + at * (phase[k + 1] - phase[k])) / swing)
+    found = _at_crossing(w, np.abs(dynamic) - mass * w * w, np.unwrap(np.angle(dynamic)))
+    return None if found is None else found[1] / found[0]
 
 
 def _dynamic(fine: RigResponse, stiffness: float, damping: float) -> Complex:
@@ -359,14 +347,15 @@ def _dynamic(fine: RigResponse, stiffness: float, damping: float) -> Complex:
     return contact * fine.follows / (1.0 + contact * fine.yields)
 
 
-def _crossing(balance: Array) -> int | None:
-    """Index before the first value of ``balance`` below zero; None if there is none."""
+def _at_crossing(w: Array, balance: Array, values: Array) -> tuple[float, float] | None:
+    """Frequency [rad/s] at which ``balance`` first falls below zero, and ``values`` there."""
     below = np.flatnonzero(balance < 0.0)
-    return int(below[0]) - 1 if len(below) and below[0] > 0 else None
-
-
-def _between(balance: Array, k: int) -> float:
-    return float(balance[k] / (balance[k] - balance[k + 1]))
+    if not len(below) or below[0] == 0:
+        return None
+    k = int(below[0]) - 1
+    at = balance[k] / (balance[k] - balance[k + 1])
+    swing, value = (float(v[k] + at * (v[k + 1] - v[k])) for v in (w, values))
+    return swing, value
 
 
 def _largest_stiffness(

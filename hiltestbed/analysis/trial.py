@@ -294,7 +294,8 @@ def bounce(
     span = HALF_PERIODS * math.pi * math.sqrt(mass / stiffness) + LAGS * max(delay + lag, 0.0)
     t = np.linspace(0.0, span, STEPS + 1)
     dt = float(t[1])
-    g = dt * (_carried(response, lag, t - delay) / mass + _yielded(response, t))
+    yields = _summed(response, response.yields[1:], t) if response.yields.any() else 0.0
+    g = dt * (_carried(response, lag, t - delay) / mass + yields)
     force = np.zeros(len(t))
     work = _met(t, g, dt, stiffness, damping, force)
     after = 1.0 - dt * (float(force.sum()) - 0.5 * force[0]) / mass
@@ -338,15 +339,6 @@ def _carried(response: RigResponse, lag: float, t: Array) -> Array:
         ramp, second = 2.0 * after - ramp, 2.0 - second
     rest = (response.follows[1:] - second) / -(w**2)
     return np.where(t > 0.0, ramp + _summed(response, rest, t), 0.0)
-
-
-def _yielded(response: RigResponse, t: Array) -> Array:
-    """The inverse transform of Y at ``t`` [s]."""
-    return (
-        np.zeros(len(t))
-        if not np.any(response.yields)
-        else _summed(response, response.yields[1:], t)
-    )
 
 
 def _summed(response: RigResponse, lines: NDArray[np.complex128], t: Array) -> Array:

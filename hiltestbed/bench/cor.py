@@ -68,7 +68,14 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     whole = effort(contacts) + sum(effort(under[condition]) for condition, _ in jobs)
     whole += len(random_methods) * random_effort + boundary_effort
     whole += len(methods) * cost_effort + REPORT
-    step = _counter(progress, whole)
+    done = 0.0
+
+    def step(work: float) -> None:
+        nonlocal done
+        done += work
+        if progress:
+            progress(min(done, whole), whole)
+
     reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in contacts])
     step(effort(contacts))
     records: list[dict[str, Any]] = []
@@ -331,15 +338,3 @@ def leaderboard(
 def _largest(records: Sequence[dict[str, Any]]) -> float | None:
     errors = [r["cor_log_error"] for r in records]
     return max(abs(e) for e in errors) if errors and None not in errors else None
-
-
-def _counter(progress: Progress | None, total: float) -> Callable[[float], None]:
-    done = 0.0
-
-    def step(work: float) -> None:
-        nonlocal done
-        done += work
-        if progress:
-            progress(min(done, total), total)
-
-    return step

@@ -90,7 +90,12 @@ def heat_maps(
         axis.set(xlim=(x_edges[0], x_edges[-1]), ylim=(y_edges[0], y_edges[-1]))
         axis.set_title(textwrap.fill(choice.label, 34), fontsize=9)
         if boundary is not None:
-            _draw_boundary(axis, *boundary)
+            x, y, margins = boundary
+            labels = ("contact that stays closed", "one bounce, e = 1")
+            for level, style, label in zip(margins, ("-", "--"), labels, strict=True):
+                line = {"colors": "black", "linestyles": style, "linewidths": 1.6}
+                axis.contour(x, y, level, levels=[0.0], **line)
+                axis.plot([], [], "k" + style, label=label)
             _draw_neutral(axis, edges, cells_of(choice, "cor", worst=False))
     _hide(axes, len(choices))
     # the lowest map of each column
@@ -281,11 +286,3 @@ def boundary_margin(scenario: Scenario) -> tuple[float, float]:
     delay = SensorParameters.believed(scenario.sensor).with_effects(scenario.effects).delay
     contact = SpringDamper(*acting_along_z(scenario.impact), effective_mass(scenario.spacecraft))
     return delay - contact.critical_delay, delay - contact.neutral_delay
-
-
-def _draw_boundary(axes: Any, x: Array, y: Array, margins: Array) -> None:
-    for level, style, label in zip(
-        margins, ("-", "--"), ("contact that stays closed", "one bounce, e = 1"), strict=True
-    ):
-        axes.contour(x, y, level, levels=[0.0], colors="black", linestyles=style, linewidths=1.6)
-        axes.plot([], [], "k" + style, label=label)

@@ -91,7 +91,12 @@ def write_report(folder: Path, campaign: LoadedCampaign) -> None:
     _active(report, cases.figures["cor"])
     _limits(report, cases.figures["limits_share"], cases.table["limits_worst"].to_pylist())
     order = _by_choice(report, cases)
-    strongest = _strongest(cases, found[cases.response])
+    indices = found[cases.response]  # by total index if reliable, else by what each explains alone
+    if indices is not None and indices.explained > TRUSTED:
+        strongest = [i.key for i in sorted(indices.indices, key=lambda index: -index.total)]
+    else:
+        own = {key: explained_share(v, cases.figure) for key, v in cases.inputs.items()}
+        strongest = sorted(own, key=lambda key: -own[key])
     _maps(report, cases, order, strongest)
     _marginals(report, cases, order, strongest)
     _sensitivities(report, list(cases.inputs), found)
@@ -167,13 +172,6 @@ def _by_choice(report: Report, cases: Cases) -> list[CaseGroup]:
     )
     places = {choice.label: choice for choice in choices}
     return [places[r.label] for r in ranked]
-
-
-def _strongest(cases: Cases, found: Sensitivity | None) -> list[str]:
-    """The keys, strongest first: by total index if reliable, else by what each explains alone."""
-    if found is not None and found.explained > TRUSTED:
-        return [index.key for index in sorted(found.indices, key=lambda index: -index.total)]
-    return sorted(cases.inputs, key=lambda key: -explained_share(cases.inputs[key], cases.figure))
 
 
 def _maps(

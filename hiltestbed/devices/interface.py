@@ -200,12 +200,6 @@ class SensorClient(Client):
         super().__init__(settings)
         self.sample = self.reading = Reading()
 
-    def bias(self) -> None:
-        """Tare the sensor at its present load. Raises DeviceError if the protocol cannot."""
-        raise DeviceError(
-            f"{self.where}: this protocol cannot tare the sensor; tare in the loop instead"
-        )
-
 
 class PlatformClient(Client):
     """The loop's side of a motion platform; ``state`` is the newest pose that it reports.

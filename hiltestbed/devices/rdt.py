@@ -126,10 +126,6 @@ class RdtClient(sockets.Datagrams, SensorClient):
             self._request(STOP)
         super().close()
 
-    def bias(self) -> None:
-        """Tare the device at its present load (software bias)."""
-        self._request(BIAS)
-
     def _take(self, data: bytes, sender: sockets.Address) -> bool:
         number, rest = divmod(len(data), RECORD.size)
         if rest or not 1 <= number <= (MOST_RECORDS if self.settings.mode == "buffered" else 1):

@@ -300,7 +300,8 @@ class RsiServer(sockets.Datagrams, PlatformServer):
 
     def open(self) -> None:
         self._towards = sockets.resolve(self.settings.host, self.settings.port, self.where)
-        self._socket = sockets.sending_udp(self._towards, self.where)
+        with sockets.connected_udp(self._towards, self.where) as probe:  # tells the interface
+            self._socket = sockets.bound((probe.getsockname()[0], 0), self.where)
 
     def publish(self, pose: Array, device_time: float) -> None:
         if self._socket is None or self.stopped is not None:

@@ -54,20 +54,13 @@ def examine() -> list[Examined]:
         except PackageNotFoundError:
             what = "is not installed; pip install hiltestbed installs it"
             found.append(Examined(name, what, False))
-    found += [_extra(name, *about) for name, about in EXTRAS.items()]
+    for name, (purpose, extra) in EXTRAS.items():
+        here = find_spec(name) is not None
+        lacks = f"not installed ({purpose}); pip install 'hiltestbed[{extra}]'"
+        found.append(Examined(name, purpose if here else lacks, here, needed=False))
     found.append(Examined("cores", str(cores()), True))
     found += [_cache(), _viewer(), _plugins()]
     return found
-
-
-def _extra(name: str, purpose: str, extra: str) -> Examined:
-    here = find_spec(name) is not None
-    return Examined(
-        name,
-        f"{purpose}" if here else f"not installed ({purpose}); pip install 'hiltestbed[{extra}]'",
-        here,
-        needed=False,
-    )
 
 
 def _cache() -> Examined:

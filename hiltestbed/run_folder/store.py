@@ -147,9 +147,10 @@ def write_run(run: Run, path: str | Path, *, rerun: bool = True, report: bool = 
     """
     path = Path(path)
     with whole_folder(path) as folder:
-        (folder / SCENARIO).write_text(
-            dump_yaml(_with_models(run.scenario, folder)), encoding="utf-8"
-        )
+        data = resolved(run.scenario)  # the user's models are copied, and their keys name copies
+        for key, (file, kind) in user_files(run.scenario).items():
+            put(data, key, keep_file(file, kind, folder, dotted(key)))
+        (folder / SCENARIO).write_text(dump_yaml(data), encoding="utf-8")
         (folder / SUMMARY).write_text(
             json.dumps(run.summary, indent=2, allow_nan=False) + "\n", encoding="utf-8"
         )
@@ -166,14 +167,6 @@ def write_run(run: Run, path: str | Path, *, rerun: bool = True, report: bool = 
         if run.failure is not None:
             np.savez(folder / FAILURE, **flatten(run.failure))  # type: ignore[arg-type]
     return path
-
-
-def _with_models(scenario: Scenario, folder: Path) -> dict[str, Any]:
-    """The resolved scenario; the user's models are copied to ``folder``, their keys name copies."""
-    data = resolved(scenario)
-    for path, (file, kind) in user_files(scenario).items():
-        put(data, path, keep_file(file, kind, folder, dotted(path)))
-    return data
 
 
 def keep_file(file: Path, kind: UserFile, folder: Path, name: str) -> str:

@@ -172,13 +172,14 @@ def _contact(facts: ShownRun) -> rrb.Vertical:
         _plot(facts, "force/z", "Contact force, z [N]", _range(facts, _forces(trace, 2))),
         _plot(facts, "force_error", "Measured minus physical force [N]", _range(facts, less)),
     )
+    phases = rrb.StateTimelineView(
+        name="Contact phase", origin=plots.PHASE, time_view=_time_axis(facts)
+    )
     right = rrb.Vertical(
         *beside,
         _plot(facts, "energy_generated", "Energy made by the rig [J]", _range(facts, energy)),
     )
-    return rrb.Vertical(
-        rrb.Horizontal(left, right), _phases(facts), row_shares=[8.0, 1.0], name="Contact"
-    )
+    return rrb.Vertical(rrb.Horizontal(left, right), phases, row_shares=[8.0, 1.0], name="Contact")
 
 
 def _forces(trace: RunTrace, axis: int) -> Array:
@@ -231,12 +232,6 @@ def _plot(
         axis_x=_time_axis(facts),
         axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
         plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
-    )
-
-
-def _phases(facts: ShownRun) -> rrb.StateTimelineView:
-    return rrb.StateTimelineView(
-        name="Contact phase", origin=plots.PHASE, time_view=_time_axis(facts)
     )
 
 

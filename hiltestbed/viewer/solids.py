@@ -66,17 +66,11 @@ def box(half: Array, rgba: Array) -> Solid:
         vertices.append(signs * (half - inset))
         normals.append(signs * np.eye(3)[axis])
     corners = np.concatenate(vertices)
-    triangles = _outward(corners, ConvexHull(corners).simplices)
-    return solid(corners, np.concatenate(normals), triangles, rgba)
-
-
-def _outward(vertices: Array, triangles: NDArray[np.integer]) -> NDArray[np.integer]:
-    """Triangles of a convex body around the origin, all oriented outward."""
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    triangles = ConvexHull(corners).simplices.copy()
+    a, b, c = (corners[triangles[:, i]] for i in range(3))
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) < 0.0
-    out = triangles.copy()
-    out[inward] = out[inward][:, ::-1]
-    return out
+    triangles[inward] = triangles[inward][:, ::-1]
+    return solid(corners, np.concatenate(normals), triangles, rgba)
 
 
 def revolved(profile: Array, rgba: Array) -> Solid:
