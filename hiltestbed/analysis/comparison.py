@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hiltestbed.errors import InputError, MissingExtra, printable
+from hiltestbed.errors import InputError, of_extra, printable
 from hiltestbed.report.curves import PALETTE
 from hiltestbed.run_folder.folders import html_table, number
 from hiltestbed.run_folder.result import Run
@@ -72,10 +72,7 @@ class Comparison:
 
     def to_pandas(self) -> Any:
         """A DataFrame with one row per run. Raises MissingExtra."""
-        try:
-            import pandas as pd
-        except ImportError:
-            raise MissingExtra("to_pandas()", "pandas") from None
+        pd = of_extra("pandas", "to_pandas()", "pandas")
         return pd.DataFrame(self.differences | self.figures, index=pd.Index(self.names, name="run"))
 
     def plot(self, column: str = "wrench_true.fz", axes: Axes | None = None) -> Axes:

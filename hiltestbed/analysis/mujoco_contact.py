@@ -186,9 +186,7 @@ def _bodies(masses: tuple[float, float]) -> mujoco.MjSpec:
 
 
 def _dropped(spec: mujoco.MjSpec, height: float, masses: tuple[float, float], speed: float) -> Drop:
-    """The bounce of ``a``, whose geom touches that of ``b`` at the ``height`` [m] of its body, with
-    as small a step as the contact needs.
-    """
+    """The bounce of ``a`` from the ``height`` [m] of the touch, in steps as small as it needs."""
     model = spec.compile()
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     drop = None

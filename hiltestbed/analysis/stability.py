@@ -217,9 +217,7 @@ def worst_of(
 
 
 def _computes(scenario: Scenario, ways: Sequence[Direction], exact: bool) -> bool:
-    """Whether the first contact is a spring and a damper along one line on an ideal rig, so that
-    the computed bounce is exact.
-    """
+    """Whether the first contact is a spring and damper along one line on an ideal rig."""
     straight = len(ways) == 1 and not ways[0].slant and scenario.mechanism.contact.friction == 0.0
     straight &= not any(e.link == "contact" for e in scenario.effects)
     straight &= not (exact and scenario.compensation.motion.corrects_force)
@@ -274,9 +272,7 @@ def judge(
 
 
 def _caveat(scenario: Scenario, contact: Direction) -> str | None:
-    """Why the bounce of a contact may differ from that in the run; for the first contact: which
-    effects it does not include.
-    """
+    """Why the bounce of a contact may differ from that in the run."""
     if contact.name == LATER:
         return (
             "an upper bound: the line of a later touch is not known, and the platform's "
@@ -301,9 +297,7 @@ def _caveat(scenario: Scenario, contact: Direction) -> str | None:
 
 
 def _bears(rebounds: Rebounds, fine: RigResponse, contact: Direction) -> float | None:
-    """Delay of the force [s] from which a contact gains energy: its net damping is zero, or a
-    bounce ends as fast as it began.
-    """
+    """Delay of the force [s] from which a contact gains energy, or a bounce ends no slower."""
     most = largest_delay(fine, contact.mass, contact.stiffness, contact.damping)
     if most is None or contact.pulls or rebounds.at(most, contact.stiffness).rebound < 1.0:
         return most

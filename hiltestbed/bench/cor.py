@@ -32,14 +32,13 @@ from hiltestbed.bench.contacts import (
 )
 from hiltestbed.bench.contenders import BEST, CONTENDERS, Contender, contenders
 from hiltestbed.bench.cor_report import cor_report
-from hiltestbed.bench.result import BenchResult
+from hiltestbed.bench.result import BenchResult, Progress, silent
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.loop import Loop
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import log_error, reference_scenario
 
-Progress = Callable[[float, float], None]
 T = TypeVar("T")
 COST_RUNS, COST_TICKS = 64, 300  # the touch is at tick 60, its delayed force arrives at tick 100
 REPORT = 4.0  # effort of the report's figures
@@ -47,7 +46,7 @@ BOUNDARY = ("none", "phase_lead", BEST)
 RANDOM_METHODS = ("none", "phase_lead", "reconstruction", BEST)
 
 
-def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
+def cor(quick: bool = False, progress: Progress = silent) -> BenchResult:
     """All methods on the whole grid; ``quick``: on its corners."""
     contacts = grid((2.0, 8.0), (0.005, 0.020), damping_ratios=(0.05,)) if quick else grid()
     methods = contenders()
@@ -73,8 +72,7 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     def step(work: float) -> None:
         nonlocal done
         done += work
-        if progress:
-            progress(min(done, whole), whole)
+        progress(min(done, whole), whole)
 
     reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in contacts])
     step(effort(contacts))

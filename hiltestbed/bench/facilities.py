@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from hiltestbed.analysis.stability import measured_response, stability
-from hiltestbed.bench.result import BenchResult
+from hiltestbed.bench.result import BenchResult, Progress, silent
 from hiltestbed.bench.throughput import side_by_side
 from hiltestbed.build import runnable_from
 from hiltestbed.numerical_model.bodies import effective_mass
@@ -32,23 +31,20 @@ STIFFNESS = (1.0e4, 5.0e4, 1.0e5)  # [N/m]: 0.8, 1.8, 2.5 Hz
 LEAST = 1e-4  # smallest |ln(e/e_ref)| that is drawn
 QUIET = {"sensor": {"delay": 0.002}, "identification.kind": "none"}
 NONE = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
-Progress = Callable[[int, int], None]
 
 
-def facilities(quick: bool = False, progress: Progress | None = None) -> BenchResult:
+def facilities(quick: bool = False, progress: Progress = silent) -> BenchResult:
     """Every facility with every compensation; ``quick``: one contact, no docking."""
     stiffness, entered = STIFFNESS[1:2] if quick else STIFFNESS, facilities_entered()
     records, rigs = [], []
     for done, (name, platform) in enumerate(entered.items()):
-        if progress:
-            progress(done, len(entered))
+        progress(done, len(entered))
         contacts = [bounce(platform, k) for k in stiffness]
         records += [r | {"facility": name} for r in _bounces(contacts)]
         if not quick:
             records += [r | {"facility": name} for r in _dockings(platform)]
         rigs.append(_rig(name, contacts[0], 2 if quick else 6))
-    if progress:
-        progress(len(entered), len(entered))
+    progress(len(entered), len(entered))
     summary = {"rigs": rigs, "worst": _worst(records)}
     lines = [(f"{w['facility']}, {w['treatment']}", _line(w)) for w in summary["worst"]]
     return BenchResult("facilities", records, summary, facilities_report(records, summary), lines)

@@ -8,17 +8,16 @@ seeds whose reported 95 % interval contains the true value.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from hiltestbed.bench.contacts import AXIAL, BenchContact, bounce, grid
-from hiltestbed.bench.result import BenchResult
+from hiltestbed.bench.result import BenchResult, Progress, silent
 from hiltestbed.report.page import Report, new_figure
 
-Progress = Callable[[int, int], None]
 FORCE = {"kind": "resynchronised"}
 METHODS: dict[str, dict[str, Any]] = {
     "rls": {"kind": "rls"},
@@ -34,7 +33,7 @@ NORMAL_95 = 1.96
 CALIBRATION = BenchContact(4.0, 0.01, 0.05)
 
 
-def identification(quick: bool = False, progress: Progress | None = None) -> BenchResult:
+def identification(quick: bool = False, progress: Progress = silent) -> BenchResult:
     """All methods: all contacts at 0.2 % noise, corners at others; ``quick``: corners at 0.2 %."""
     seeds = 4 if quick else 16
     noises = (0.002,) if quick else NOISES
@@ -46,13 +45,11 @@ def identification(quick: bool = False, progress: Progress | None = None) -> Ben
     records: list[dict[str, Any]] = []
     done = 0
     for (method, noise), grid_of in zip(at, contacts, strict=True):
-        if progress:
-            progress(done, work)
+        progress(done, work)
         records += measure(method, grid_of, noise, seeds)
         done += len(grid_of) * seeds
     intervals = interval_coverage(intervals_of)
-    if progress:
-        progress(work, work)
+    progress(work, work)
     board = leaderboard(records)
     summary = {"leaderboard": board, "intervals": intervals, "best": board[0]["method"]}
     lines = []

@@ -4,12 +4,11 @@ with a device on the loopback address.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from hiltestbed.bench.result import BenchResult
+from hiltestbed.bench.result import BenchResult, Progress, silent
 from hiltestbed.devices.bench import measure
 from hiltestbed.report.page import Report, new_figure
 
@@ -18,9 +17,7 @@ MAIN = (1000.0, True)  # [Hz], with a device
 SECONDS, QUICK = 600.0, 2.0  # [s] total time, shared by the measurements
 
 
-def realtime(
-    quick: bool = False, progress: Callable[[int, int], None] | None = None
-) -> BenchResult:
+def realtime(quick: bool = False, progress: Progress = silent) -> BenchResult:
     """Measure the cycle at several rates, half of the time at 1 kHz with a device."""
     cases = [(rate, device) for rate in RATES for device in (False, True)]
     total = QUICK if quick else SECONDS
@@ -28,8 +25,7 @@ def realtime(
     for i, (rate, device) in enumerate(cases):
         seconds = total * (0.5 if (rate, device) == MAIN else 0.5 / (len(cases) - 1))
         measured.append(measure(rate, seconds, device=device))
-        if progress is not None:
-            progress(i + 1, len(cases))
+        progress(i + 1, len(cases))
     worst = measured[cases.index(MAIN)]
     summary = {
         "missed_rate": worst["missed"] / max(worst["cycles"], 1),

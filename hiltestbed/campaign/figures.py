@@ -241,8 +241,7 @@ def _boundary(
     logs: tuple[bool, bool],
 ):
     """(x, y, margins (2, MESH, MESH)) of the closed forms, zero where the rig starts to add energy;
-    other keys as in the campaign's scenario. None if they do not apply or no boundary lies within
-    the edges.
+    None if they do not apply or no boundary lies within the edges.
     """
     others = [key for key in campaign.spec.vary if key not in keys]
     if not boundary_applies(campaign.nominal) or not all(

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from hiltestbed.campaign.cases import case_values, structural_keys
 from hiltestbed.campaign.schema import LoadedCampaign, load_campaign
 from hiltestbed.campaign.store import CASES, LOCK, Store, read_about, refuse_another
 from hiltestbed.config.yaml_source import key_path
-from hiltestbed.errors import InputError, MissingExtra
+from hiltestbed.errors import InputError, of_extra
 from hiltestbed.run_folder.folders import html_table, parquet_table, safe_name
 from hiltestbed.scenario import Scenario
 from hiltestbed.scenario.idle import idle_keys
@@ -54,10 +55,7 @@ class Sweep:
 
     def to_pandas(self) -> Any:
         """cases.parquet as a pandas DataFrame, one row per case. Raises MissingExtra."""
-        try:
-            import pandas  # noqa: F401
-        except ImportError:
-            raise MissingExtra("to_pandas()", "pandas") from None
+        of_extra("pandas", "to_pandas()", "pandas")
         return self.cases().to_pandas()
 
     def cases(self):
@@ -94,7 +92,7 @@ def sweep(
     if scheduler:
         engine, name = engines.dask(scheduler), scheduler
     elif workers > 1:
-        engine, name = engines.processes(workers), f"{workers} processes"
+        engine, name = partial(engines.processes, workers), f"{workers} processes"
     with Store.opened(folder, campaign) as store:
         counts = _run(store, engine, chunk, progress)
         _finish(store, name, chunk, *counts)

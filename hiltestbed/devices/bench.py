@@ -91,9 +91,7 @@ def _run(clock: CycleClock, round_trips: NDArray[np.float64], client: PlatformCl
 
 
 def _processors() -> list[int] | None:
-    """Times of all processors since the start, in the columns of the ``cpu`` line of /proc/stat
-    (proc_stat(5)); None without it.
-    """
+    """Times of all processors in the columns of /proc/stat (proc_stat(5)); None without it."""
     try:
         with open("/proc/stat", encoding="ascii") as file:
             columns = file.readline().split()[1:9]

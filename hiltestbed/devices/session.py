@@ -267,9 +267,7 @@ class Session:
         return self.follow(travel(self.rig.last.copy(), goal, self.rig.tick, speed, rate))
 
     def _end(self) -> None:
-        """Bring the platform to rest: smoothly after a complete run, otherwise as the scenario
-        specifies.
-        """
+        """Bring the platform to rest: smoothly after a whole run, else as the scenario says."""
         rig, duration = self.rig, self.scenario.devices.platform.run_up
         try:
             if rig.stop is not None or self.loop.trouble:

@@ -9,8 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from hiltestbed.signals import RunTrace
-
 # Okabe and Ito's palette: distinguishable with any of the common colour-vision deficiencies
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 
@@ -18,12 +16,11 @@ POINTS = 4000  # of a curve: more cannot be distinguished
 LEAST = 0.02  # [s] that is shown before and after a contact, at least
 
 
-def span_of_contact(trace: RunTrace) -> tuple[float, float]:
-    """[s] the contacts and a quarter of their duration on each side; the whole run if the ports do
-    not touch.
+def span_of_contact(t: np.ndarray, contact: np.ndarray) -> tuple[float, float]:
+    """[s] the contacts and a quarter of their duration on each side; all of ``t`` ``(rows,)`` [s]
+    where ``contact`` ``(rows,)`` is nowhere true.
     """
-    start, end = float(trace.t[0]), float(trace.t[-1])
-    touching = trace.t[trace.contact]
+    start, end, touching = float(t[0]), float(t[-1]), t[contact]
     if not len(touching):
         return start, end
     first, last = float(touching[0]), float(touching[-1])

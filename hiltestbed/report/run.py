@@ -74,9 +74,7 @@ def run_report(run: Run) -> Report:
 
 
 def _margin(contact: Pair, summary: dict[str, Any]) -> str:
-    """The energy balance of a ``contact`` in words, and the further delay up to which the loop is
-    stable.
-    """
+    """The energy balance of a ``contact`` in words, and the delay that the loop bears."""
     share = energy_share(summary)
     if not summary["contact_duration"]:
         return "Nothing touched, so the question does not arise."
@@ -209,15 +207,13 @@ def _signals(trace: RunTrace):
 
 def _shown(trace: RunTrace) -> np.ndarray:
     """The rows of the displayed span, at most as many as can be distinguished."""
-    start, end = span_of_contact(trace)
+    start, end = span_of_contact(trace.t, trace.contact)
     rows = np.flatnonzero((trace.t >= start) & (trace.t <= end))
     return rows[:: max(1, len(rows) // POINTS)]
 
 
 def _energy(trace: RunTrace, made: Array, approach: float | None):
-    """Energy that the rig had ``made`` (ticks,) [J]: work on the contact minus work of the
-    numerical model; ``approach``: the energy of the approach [J].
-    """
+    """Energy that the rig had ``made`` (ticks,) [J]; ``approach``: of the approach [J]."""
     rows = _shown(trace)
     figure, axis = new_figure(9.0, 2.6)
     shade_contacts(axis, trace.t, trace.contact)

@@ -56,7 +56,7 @@ class ShownRun:
     @property
     def shown(self) -> tuple[float, float]:
         """[s] that the plots show."""
-        span = span_of_contact(self.trace)
+        span = span_of_contact(self.trace.t, self.trace.contact)
         return readable(*span, ACROSS) if self.trace.contact.any() else span
 
 

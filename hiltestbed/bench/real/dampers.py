@@ -43,10 +43,8 @@ def _earthquakes(data: Path) -> list[AxisRecord]:
 
 
 def _brake_expert(records: Sequence[AxisRecord]) -> Predictor:
-    """One slider behind a spring with play; beside it a dashpot, a spring and an offset.
-
-    Six numbers, from several starts of stiffness and play. A record that starts below a twentieth
-    of the greatest force starts in the middle of the play: the idle linkage carries that much.
+    """One slider behind a spring with play; beside it a dashpot, a spring and an offset. A record
+    that starts below a twentieth of the greatest force starts in the middle of the play.
     """
     stroke = np.ptp(np.concatenate([r.u for r in records]))
     force = np.concatenate([r.y for r in records])

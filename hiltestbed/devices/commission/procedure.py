@@ -161,9 +161,8 @@ def _fitted(
 def _turned(
     scenario: Scenario, sensor: SensorFit, touched: Sequence[Shown], noise: Array
 ) -> SensorFit | None:
-    """The sensor fitted with gains and crosstalk in its own axes, if these are slightly rotated
-    against those in the scenario. None if they are not, if the sign or the attitude is entirely
-    different, or if gains in P's axes fit better.
+    """The sensor fitted with gains and crosstalk in its own axes; None if these are not slightly
+    rotated against those in the scenario, or if gains in P's axes fit better.
     """
     mounted = scenario.devices.sensor
     if sensor.sign != mounted.sign:
