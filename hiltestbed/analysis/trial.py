@@ -303,7 +303,7 @@ def bounce(
 
 
 def _met(t: Array, g: Array, dt: float, stiffness: float, damping: float, force: Array) -> float:
-    """The ``force`` (N,), zeros, after an approach at 1 m/s, and the work that is done on it."""
+    """Write the ``force`` (N,) after an approach at 1 m/s; returns the work that is done on it."""
     place, work = 0.0, 0.0
     force[0] = damping
     for j in range(1, len(t)):
@@ -340,8 +340,9 @@ def _carried(response: RigResponse, lag: float, t: Array) -> Array:
 
 
 def _summed(response: RigResponse, lines: NDArray[np.complex128], t: Array) -> Array:
-    """The inverse transform at even ``t`` (N,) of values at the lines above 0 Hz; its N sums are
-    products of about sqrt(N) coarse and sqrt(N) fine rotations of each line.
+    """The inverse transform at even ``t`` (N,) of values at the lines above 0 Hz, of a response
+    that decays within half a period of the line spacing; its N sums are products of about sqrt(N)
+    coarse and sqrt(N) fine rotations of each line.
     """
     spacing = float(response.frequency[1] - response.frequency[0])
     turns = 2j * math.pi * response.frequency[1:]
