@@ -10,6 +10,8 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
 
 
 def printable(text: str) -> str:
@@ -73,3 +75,11 @@ class MissingExtra(HiltestbedError):
             f"{what} needs an optional dependency; install it with: pip install "
             f"'hiltestbed[{extra}]'"
         )
+
+
+def of_extra(module: str, what: str, extra: str) -> Any:
+    """The ``module``, which ``what`` needs and the ``extra`` installs. Raises MissingExtra."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise MissingExtra(what, extra) from None

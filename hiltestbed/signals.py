@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.errors import InputError, MissingExtra
+from hiltestbed.errors import InputError, of_extra
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -219,10 +219,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
 
     def to_pandas(self):
         """A pandas DataFrame over time [s]; ``attrs``: unit, frame, meaning of each column."""
-        try:
-            import pandas as pd
-        except ImportError:
-            raise MissingExtra("to_pandas()", "pandas") from None
+        pd = of_extra("pandas", "to_pandas()", "pandas")
         columns = self.columns()
         frame = pd.DataFrame(
             {name: values for name, values in columns.items() if name != "t"},
@@ -236,10 +233,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         """An xarray Dataset: one variable ``(t, part)`` per group, with units and frame in its
         ``attrs``. Raises MissingExtra.
         """
-        try:
-            import xarray as xr
-        except ImportError:
-            raise MissingExtra("to_xarray()", "xarray") from None
+        xr = of_extra("xarray", "to_xarray()", "xarray")
         variables: dict[str, Any] = {
             "contact": (
                 "t",

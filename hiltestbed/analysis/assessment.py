@@ -31,6 +31,11 @@ RING_FAULTS = {
 }
 
 
+# headers of delays_of and estimates_of
+DELAYS = ("source", "delay [ms]", "as damping [N s/m]")
+ESTIMATES = ("axis", "k ± sd", "true", "error", "c ± sd", "true", "error", "samples")
+
+
 @dataclass(frozen=True)
 class Assessment:
     """Assessment of a run.
@@ -251,6 +256,28 @@ def identified(summary: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {axis: values for axis, values in every.items() if values["stiffness"] is not None}
 
 
+def estimates_of(summary: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Cells below :data:`ESTIMATES`: identified with its sd, true, and the error in per cent."""
+    rows = []
+    for axis, values in identified(summary).items():
+        cells = [axis]
+        for quantity in ("stiffness", "damping"):
+            value, true, sd = (values.get(quantity + part) for part in ("", "_true", "_sd"))
+            sure = "" if sd is None else f" ± {sd:.0f}" if sd >= 10.0 else f" ± {sd:.2g}"
+            error = f"{100.0 * (value / true - 1.0):+z.2f} %" if value is not None and true else ""
+            cells += [number(value, 6) + sure * (value is not None), number(true, 6), error]
+        rows.append((*cells, str(values["samples"])))
+    return rows
+
+
+def delays_of(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Cells of the delay ledger below :data:`DELAYS`."""
+    return [
+        (e["source"], f"{1e3 * e['delay']:+.4f}", f"{e['equivalent_damping']:+.2f}")
+        for e in summary["delay_ledger"]
+    ]
+
+
 def largest_delay(summary: dict[str, Any]) -> dict[str, Any] | None:
     """The delay ledger entry (except the total) with the largest delay after subtraction of the
     compensation of sensor and platform; None if there is no delay.
@@ -272,15 +299,6 @@ def largest_delay(summary: dict[str, Any]) -> dict[str, Any] | None:
         (entry for entry in left if entry["delay"] > 0.0),
         key=lambda entry: entry["delay"],
         default=None,
-    )
-
-
-def _lags_later(summary: dict[str, Any]) -> bool:
-    """Whether the rig makes energy in a later touch, whose line the compensation does not know."""
-    ways = (summary.get("stability") or {}).get("directions", ())
-    return any(
-        way["direction"].endswith("later touch") and (way.get("rig_energy") or 0.0) > NEUTRAL
-        for way in ways
     )
 
 
@@ -339,7 +357,12 @@ def _advice(summary: dict[str, Any]) -> list[str]:
                 f"({1e3 * largest['delay']:.3g} ms): "
                 f"{_cure(largest['source'], summary['delay_ledger'])}."
             )
-        if is_active(summary) and _lags_later(summary):
+        later = [
+            way.get("rig_energy") or 0.0
+            for way in (summary.get("stability") or {}).get("directions", ())
+            if way["direction"].endswith("later touch")
+        ]
+        if is_active(summary) and max(later, default=0.0) > NEUTRAL:
             out.append(
                 "In a later touch, elsewhere on the surface, the compensation does not know the "
                 "line of the force yet, so the platform's "

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hiltestbed.errors import InputError, MissingExtra, printable
+from hiltestbed.errors import InputError, of_extra, printable
 from hiltestbed.report.curves import PALETTE
 from hiltestbed.run_folder.folders import html_table, number
 from hiltestbed.run_folder.result import Run
@@ -72,10 +72,7 @@ class Comparison:
 
     def to_pandas(self) -> Any:
         """A DataFrame with one row per run. Raises MissingExtra."""
-        try:
-            import pandas as pd
-        except ImportError:
-            raise MissingExtra("to_pandas()", "pandas") from None
+        pd = of_extra("pandas", "to_pandas()", "pandas")
         return pd.DataFrame(self.differences | self.figures, index=pd.Index(self.names, name="run"))
 
     def plot(self, column: str = "wrench_true.fz", axes: Axes | None = None) -> Axes:
@@ -111,7 +108,11 @@ def compare(runs: Sequence[Run | str | Path]) -> Comparison:
         run.summary["name"] if isinstance(given, Run) else printable(Path(given).name)
         for given, run in zip(runs, read, strict=True)
     ]
-    return Comparison(tuple(_unique(labels)), read, differences, figures)
+    names = (
+        label if not (before := labels[:i].count(label)) else f"{label} ({before + 1})"
+        for i, label in enumerate(labels)
+    )
+    return Comparison(tuple(names), read, differences, figures)
 
 
 def _flat(data: Any, path: str = "") -> dict[str, Any]:
@@ -135,16 +136,6 @@ def _figure(summary: Mapping[str, Any], name: str) -> Any:
     for key in name.split("."):
         found = None if found is None else found.get(key)
     return found
-
-
-def _unique(labels: Sequence[str]) -> list[str]:
-    """The names, with a number appended to repeated ones."""
-    seen: dict[str, int] = {}
-    out = []
-    for label in labels:
-        seen[label] = seen.get(label, 0) + 1
-        out.append(label if seen[label] == 1 else f"{label} ({seen[label]})")
-    return out
 
 
 def write_comparison(comparison: Comparison, path: Path) -> None:

@@ -13,7 +13,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import mujoco
 
@@ -24,11 +23,10 @@ from hiltestbed.axis.dataset import ArmDataset, AxisDataset, arm_of, is_axis
 from hiltestbed.axis.mjcf import axis_mjcf, axis_model, listed, mjcf_text, number
 from hiltestbed.build import runnable_from
 from hiltestbed.config.validation import validate
-from hiltestbed.config.yaml_source import read_source
+from hiltestbed.config.yaml_source import Source, read_source
 from hiltestbed.effects import EFFECTS, Effect
 from hiltestbed.errors import InputError
 from hiltestbed.platform.effects.response import LAG_DAMPING
-from hiltestbed.scenario import Scenario
 from hiltestbed.scenario.spacecraft import Approach
 
 DIAGNOSIS, EXTENDED = "diagnosis.json", "extended.yaml"
@@ -105,11 +103,11 @@ def exported(folder: Path) -> Exported:
             found = axis_mjcf(validate(AxisDataset, source), head)
         text, said, unsaid = found
         return Exported(text, tuple(said), tuple(unsaid))
-    return _rig(runnable_from(source), head)
+    return _rig(source, head)
 
 
-def _rig(s: Scenario, head: Sequence[str]) -> Exported:
-    said, unsaid, servo = [], [], []
+def _rig(source: Source, head: Sequence[str]) -> Exported:
+    s, said, unsaid, servo = runnable_from(source), [], [], []
     factors = {"k": 1.0, "c": 1.0}
     mass = {"chaser": s.spacecraft.chaser.mass, "target": s.spacecraft.target.mass}
     inertia = {b: [*getattr(s.spacecraft, b).inertia, 0.0, 0.0, 0.0][:6] for b in mass}
@@ -133,9 +131,11 @@ def _rig(s: Scenario, head: Sequence[str]) -> Exported:
         elif kind == "sensor.saturation":
             limit = p["limit"] if limit is None else min(limit, p["limit"])
         elif kind in ON_PLATFORM and p.get("axis", "all") in ("all", "z"):
-            servo.append(_as_servo(kind, p))
+            given = {name: p[name] for name in ON_PLATFORM[kind]}
+            lag = {"kind": "platform.drive", "damping_ratio": LAG_DAMPING}  # that of a servo
+            servo.append((lag if kind == "platform.lag" else {"kind": kind}) | given)
         else:
-            unsaid.append(_unsaid(e))
+            unsaid.append(f"{_stated(e)}. {EFFECTS[e.kind].meaning()}")
             continue
         said.append(_stated(e))
     contact = SpringDamper(
@@ -144,7 +144,15 @@ def _rig(s: Scenario, head: Sequence[str]) -> Exported:
         reduced_mass(mass["chaser"], mass["target"]),
     )
     step = min(1.0 / s.physics_rate, contact.contact_time / STEPS)
-    unsaid += _nominal(s)
+    # what is believed of the rig and is not in the file
+    unsaid.append(f"the surfaces of the {s.mechanism.kind}: a ball on a plate stands for them")
+    unsaid += ["the compliance of the mount"] if s.mechanism.mount is not None else []
+    unsaid.append(f"the nominal drives of the platform {s.rig.platform.kind}, and the compensation")
+    turned = [b for b in mass if any(getattr(s.spacecraft, b).port.attitude_deg)]
+    turned += ["approach"] if any((*s.approach.attitude_deg, *s.approach.rate_deg)) else []
+    unsaid += [f"the attitude of {', '.join(turned)}"] if turned else []
+    if s.sensor.lowpass or s.sensor.time_constant:
+        unsaid.append("the nominal filter of the sensor")
     platform = None
     if servo:
         spec = {"axis": "servo", "runs": [{"file": "-"}], "effects": servo}
@@ -168,41 +176,15 @@ def _rig(s: Scenario, head: Sequence[str]) -> Exported:
     return Exported(mjcf_text(option, sections, head, said, unsaid), tuple(said), tuple(unsaid))
 
 
-def _as_servo(kind: str, p: dict[str, Any]) -> dict[str, Any]:
-    """An effect on the platform as that on a servo."""
-    given = {name: p[name] for name in ON_PLATFORM[kind]}
-    if kind == "platform.lag":
-        return {"kind": "platform.drive", "damping_ratio": LAG_DAMPING, **given}
-    return {"kind": kind, **given}
-
-
 def _stated(e: Effect) -> str:
     given = e.model_dump(exclude={"kind"}, exclude_none=True)
     return f"{e.kind}: {', '.join(f'{name} {value}' for name, value in given.items())}"
 
 
-def _unsaid(e: Effect) -> str:
-    return f"{_stated(e)}. {EFFECTS[e.kind].meaning()}"
-
-
-def _nominal(s: Scenario) -> list[str]:
-    """What is believed of the rig and is not in the file."""
-    out = [f"the surfaces of the {s.mechanism.kind}: a ball on a plate stands for them"]
-    out += ["the compliance of the mount"] if s.mechanism.mount is not None else []
-    out.append(f"the nominal drives of the platform {s.rig.platform.kind}, and the compensation")
-    turned = [b for b in ("chaser", "target") if any(getattr(s.spacecraft, b).port.attitude_deg)]
-    turned += ["approach"] if any((*s.approach.attitude_deg, *s.approach.rate_deg)) else []
-    out += [f"the attitude of {', '.join(turned)}"] if turned else []
-    filters = s.sensor.lowpass or s.sensor.time_constant
-    return [*out, *(["the nominal filter of the sensor"] if filters else [])]
-
-
 def _vehicle(
     name: str, mass: float, inertia: Sequence[float], port: Sequence[float], part: str
 ) -> str:
-    """A vehicle that floats, with its port at ``port`` [m] from its centre of mass; six moments
-    and products of ``inertia`` [kg m^2].
-    """
+    """A vehicle that floats; ``port`` [m] from its centre of mass, six of ``inertia`` [kg m^2]."""
     inertial = f'mass="{number(mass)}" fullinertia="{listed(inertia)}"'
     return (
         f'<body name="{name}"><freejoint/><inertial pos="0 0 0" {inertial}/>'

@@ -19,7 +19,7 @@ from typing import Any
 
 from hiltestbed import plugins
 from hiltestbed.run_folder.versions import provenance
-from hiltestbed.scenario import Scenario, identity, load_scenario
+from hiltestbed.scenario import identity, load_scenario
 
 
 def stability_of_file(
@@ -29,32 +29,21 @@ def stability_of_file(
     overridden.
     """
     scenario = load_scenario(path, set)
-    if plugins.loaded():  # what a user's module imports is not part of the hash
-        return _computed(scenario)
-    kept = _folder() / f"{_key(scenario)}.json"
-    with suppress(OSError, ValueError):
-        return json.loads(kept.read_text(encoding="utf-8"))
-    found = _computed(scenario)
-    with suppress(OSError):  # without a folder that can be written, it is computed each time
-        _write(kept, json.dumps(found))
-    return found
-
-
-def _computed(scenario: Scenario) -> dict[str, Any] | None:
+    kept = None
+    if not plugins.loaded():  # what a user's module imports is not part of the hash
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+        depends = json.dumps([identity(scenario), provenance()], sort_keys=True)
+        key = hashlib.sha256(depends.encode()).hexdigest()
+        kept = cache / "hiltestbed" / "stability" / f"{key}.json"
+        with suppress(OSError, ValueError):
+            return json.loads(kept.read_text(encoding="utf-8"))
     from hiltestbed.analysis.stability import stability
 
-    return stability(scenario)
-
-
-def _folder() -> Path:
-    cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return Path(cache) / "hiltestbed" / "stability"
-
-
-def _key(scenario: Scenario) -> str:
-    """Hash of everything that the verdict depends on."""
-    depends = json.dumps([identity(scenario), provenance()], sort_keys=True)
-    return hashlib.sha256(depends.encode()).hexdigest()
+    found = stability(scenario)
+    with suppress(OSError):  # without a folder that can be written, it is computed each time
+        if kept is not None:
+            _write(kept, json.dumps(found))
+    return found
 
 
 def _write(file: Path, text: str) -> None:

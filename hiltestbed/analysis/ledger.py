@@ -42,25 +42,22 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
         ("coupling", 0.0),
         *_effects(scenario, w, "dynamics"),
     ]
-    if scenario.numerical_model.ticks_late:
-        delays.append(
-            (
-                f"numerical_model.{scenario.numerical_model.kind}",
-                scenario.numerical_model.ticks_late * scenario.tick,
-            )
-        )
-    if scenario.rig.platform.tracking == "servo":
-        delays.append(("platform.servo", figures.tracking_delay or 0.0))
-    elif scenario.rig.platform.tracking == "response":
-        delays.append(("platform.response", figures.tracking_delay or 0.0))
-    elif by_link(scenario.effects, "platform"):
-        delays.append(("platform.effects", figures.tracking_delay or 0.0))
+    model = scenario.numerical_model
+    if model.ticks_late:
+        delays.append((f"numerical_model.{model.kind}", model.ticks_late * scenario.tick))
+    tracking = scenario.rig.platform.tracking
+    if tracking in ("servo", "response") or by_link(scenario.effects, "platform"):
+        source = tracking if tracking in ("servo", "response") else "effects"
+        delays.append((f"platform.{source}", figures.tracking_delay or 0.0))
     platform = sum(delay for source, delay in delays if source.startswith("platform."))
     if compensation.force.corrects_platform:
         delays.append(("compensation.platform", -platform))
     elif corrects_platform(scenario):
-        force = sum(delay for _, delay in delays) - platform
-        delays.append(("compensation.platform", -_corrected(scenario, force, platform)))
+        # by simulation, because the contact is not known when it begins; all of it without one
+        force, removed = sum(delay for _, delay in delays) - platform, platform
+        if (error := corrected_log_error(scenario, force)) is not None:
+            removed += max(force, 0.0) - error / (0.5 * math.pi * w)
+        delays.append(("compensation.platform", -removed))
     delays.append(("total", sum(delay for _, delay in delays)))
     k, _ = acting_along_z(scenario.impact)
     return [Delay(source, delay, 0.0 - k * delay) for source, delay in delays]
@@ -73,17 +70,6 @@ def corrects_platform(scenario: Scenario) -> bool:
     mechanism, compensation = scenario.mechanism, scenario.compensation
     identified = compensation.motion.corrects_force and (mechanism.flat or mechanism.captured)
     return compensation.force.corrects_platform or identified
-
-
-def _corrected(scenario: Scenario, force: float, platform: float) -> float:
-    """Delay [s] of the ``platform`` that a method which corrects the force removes from the first
-    contact, beside a delay of the ``force`` [s]: by simulation, because the contact is not known
-    when it begins; all of it if that cannot be simulated.
-    """
-    error = corrected_log_error(scenario, force)
-    if error is None:
-        return platform
-    return platform + max(force, 0.0) - error / (0.5 * math.pi * contact_frequency(scenario))
 
 
 def force_path_delay(scenario: Scenario, compensated: bool) -> float:

@@ -20,7 +20,6 @@ from hiltestbed.scenario.limits import LEAST, UNIT, DockingLimits
 
 # share of a limit from which it counts as exceeded: noise of the force changes a nominal approach
 BEYOND = 1.001
-TINY = 1e-9  # [N], [N m] rounding errors of a drive that a contact does not load
 # rows of Outcomes.loads
 LOADS = ("compression", "tension", "shear", "bending", "torsion")
 Found = Mapping[str, Mapping[str, float] | None]
@@ -98,7 +97,8 @@ def rig_ahead(scenario: Scenario) -> tuple[str, ...]:
     if (drives := demand_of(scenario)) is not None:
         rest, contact = drives.weight, drives_in_contact(scenario, drives, peak)
         left = drives.most - np.copysign(rest, rest * contact)  # in the direction of the contact
-        shares = left / np.maximum(np.abs(contact), TINY)
+        with np.errstate(divide="ignore"):  # of a drive that the contact does not load
+            shares = left / np.abs(contact)
         j = int(np.argmin(shares))
         if 0.0 < shares[j] < 1.0:
             axis, force = drives.axes[j], abs(rest[j] + contact[j])

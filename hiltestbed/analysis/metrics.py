@@ -256,32 +256,26 @@ def energy_generated(trace: RunTrace, start: Array, tick: float) -> Array:
     Args:
         start: ``(13,)`` pose and twist of A in P before the first tick. tick: [s].
     """
-    slope = np.zeros_like(trace["twist_act"])
-    _slopes(trace["pose_act"], tick, slope)
     # for t_k, when the wrench is used
     commanded = np.concatenate([start[None, :7], trace["pose_cmd"][:-1]])
-    force, used = (
-        _about_A(trace["wrench_true"], trace["pose_act"]),
-        _about_A(trace["wrench_comp"], commanded),
-    )
-    rate = trace["twist_cmd"]
-    before = np.concatenate([start[None, 7:], rate[:-1]])
-    taken = np.zeros(len(trace.t))
-    taken[1:] = np.einsum("ij,ij->i", force[1:] + force[:-1], slope[1:])
-    return 0.5 * tick * np.cumsum(taken - np.einsum("ij,ij->i", used, rate + before))
-
-
-def _about_A(wrench: Array, pose: Array) -> Array:
-    """``(ticks, 6)`` wrenches at P's origin, with their moments about A's origin, so that they are
-    conjugate to A's twist.
-    """
-    return np.hstack([wrench[:, :3], wrench[:, 3:] - np.cross(pose[:, :3], wrench[:, :3])])
+    rate, made = trace["twist_cmd"], np.zeros(len(trace.t))
+    rates = rate + np.concatenate([start[None, 7:], rate[:-1]])
+    acts = trace["wrench_true"], trace["pose_act"]
+    _made(tick, *acts, trace["wrench_comp"], commanded, rates, made)
+    return np.cumsum(made)
 
 
 @njit(cache=True)
-def _slopes(pose, tick, out):
-    for k in range(1, pose.shape[0]):
-        twist_between(pose[k - 1], pose[k], tick, out[k])
+def _made(h, wrench, pose, used, pose_before, rates, out):
+    slope, felt, paid, earlier = np.zeros(6), np.empty(6), np.empty(6), np.zeros(6)
+    for k in range(len(out)):
+        if k > 0:
+            twist_between(pose[k - 1], pose[k], h, slope)
+        about_A(wrench[k], pose[k], felt)
+        about_A(used[k], pose_before[k], paid)
+        for j in range(6):
+            out[k] += 0.5 * h * ((felt[j] + earlier[j]) * slope[j] - paid[j] * rates[k, j])
+            earlier[j] = felt[j]
 
 
 @njit(cache=True)

@@ -157,14 +157,17 @@ def pair_in_mjcf(
         line = data.geom_xpos[b] - data.geom_xpos[a]
     line = line / np.linalg.norm(line)
     spec = _bodies(masses)
-    _with_options(spec, model)
-    turn = _turned_to_minus_z(line)
+    # what of a model's options shapes its contacts
+    for name in ("timestep", "cone", "impratio", "o_margin", "o_solref", "o_solimp", "enableflags"):
+        setattr(spec.option, name, getattr(model.opt, name))
+    quaternion, matrix = np.zeros(4), np.zeros(9)
+    mujoco.mju_quatZ2Vec(quaternion, -line)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    turn = matrix.reshape(3, 3).T  # `a` lies above `b`: the line is turned to -z
     for body, geom in (("a", a), ("b", b)):
         _copy_geom(spec, body, model, geom, turn @ data.geom_xmat[geom].reshape(3, 3))
     _copy_pair(spec, model, a, b)
-    found = spec.compile()
-    height = _height(found)
-    return _dropped(spec, height, masses, speed), masses
+    return _dropped(spec, _height(spec.compile()), masses, speed), masses
 
 
 def _bodies(masses: tuple[float, float]) -> mujoco.MjSpec:
@@ -183,9 +186,7 @@ def _bodies(masses: tuple[float, float]) -> mujoco.MjSpec:
 
 
 def _dropped(spec: mujoco.MjSpec, height: float, masses: tuple[float, float], speed: float) -> Drop:
-    """The bounce of ``a``, whose geom touches that of ``b`` at the ``height`` [m] of its body, with
-    as small a step as the contact needs.
-    """
+    """The bounce of ``a`` from the ``height`` [m] of the touch, in steps as small as it needs."""
     model = spec.compile()
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     drop = None
@@ -284,20 +285,6 @@ def _mass(model: mujoco.MjModel, geom: int) -> float:
     """[kg] of the tree of the body that moves with a geom; infinite for the world."""
     body = int(model.body_weldid[model.geom_bodyid[geom]])
     return float(model.body_subtreemass[body]) if body else math.inf
-
-
-def _turned_to_minus_z(line: Array) -> Array:
-    """(3, 3) the rotation that turns the unit vector ``line`` to -z: ``a`` lies above ``b``."""
-    quaternion, matrix = np.zeros(4), np.zeros(9)
-    mujoco.mju_quatZ2Vec(quaternion, -line)
-    mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrix.reshape(3, 3).T
-
-
-def _with_options(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """What of a model's options shapes its contacts."""
-    for name in ("timestep", "cone", "impratio", "o_margin", "o_solref", "o_solimp", "enableflags"):
-        setattr(spec.option, name, getattr(model.opt, name))
 
 
 def _copy_geom(

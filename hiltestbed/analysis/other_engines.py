@@ -15,11 +15,10 @@ from __future__ import annotations
 
 import math
 from importlib import import_module
-from importlib.util import find_spec
 
 from hiltestbed.analysis.mujoco_contact import GAP, RADIUS
 from hiltestbed.analysis.spring_damper import SpringDamper
-from hiltestbed.errors import MissingExtra
+from hiltestbed.errors import of_extra
 
 LONGEST = 2.0  # contact times that are simulated, after the touch
 
@@ -32,8 +31,7 @@ def cor_in_drake(
     Raises:
         MissingExtra: Drake is not installed.
     """
-    if find_spec("pydrake") is None:
-        raise MissingExtra("--engine drake", "engines")
+    of_extra("pydrake", "--engine drake", "engines")
     geometry, framework = (import_module(f"pydrake.{n}") for n in ("geometry", "systems.framework"))
     plants, trees = (import_module(f"pydrake.multibody.{n}") for n in ("plant", "tree"))
     transform = import_module("pydrake.math").RigidTransform
@@ -89,11 +87,9 @@ def cor_in_newton(
     Raises:
         MissingExtra: Newton is not installed.
     """
-    if find_spec("newton") is None:
-        raise MissingExtra("--engine newton", "engines")
-    warp = import_module("warp")
+    warp = of_extra("warp", "--engine newton", "engines")
     warp.config.log_level = 40  # errors only: standard output is the command's
-    newton = import_module("newton")
+    newton = of_extra("newton", "--engine newton", "engines")
     builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
     material = newton.ModelBuilder.ShapeConfig(
         density=0.0, ke=contact.stiffness, kd=contact.damping, kf=0.0, mu=0.0, margin=0.0

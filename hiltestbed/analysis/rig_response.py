@@ -22,6 +22,7 @@ from hiltestbed.build import motion_command, runnable_from
 from hiltestbed.frames import Array, rotation_vectors
 from hiltestbed.platform.build import plant_of
 from hiltestbed.scenario import Scenario, resolved
+from hiltestbed.signals import AXES
 
 Complex = NDArray[np.complex128]
 LINES = 100  # [Hz] sines at 1, 2, ... Hz
@@ -33,8 +34,7 @@ MAX_AMPLITUDE, MAX_ACCELERATION = 1e-3, 0.3
 FORCE_AMPLITUDE = 20.0  # [N] amplitude of each sine of the force
 ARM = 0.6  # [m] converts angles to lengths and forces to torques: the height of a docking mechanism
 FINE = 50  # interpolated points per line spacing
-ALONG = 2  # the axis of the insertion
-AXES = ("x", "y", "z", "rx", "ry", "rz")
+ALONG = AXES.index("z")  # the axis of the insertion
 
 
 @dataclass(frozen=True)
@@ -159,9 +159,7 @@ def _measured(scenario: str, axes: tuple[int, ...]) -> SixAxisResponse:
 
 
 class _Pushes:
-    """No force on the runs that follow a command; a sum of sines along one axis on each run that
-    holds its position.
-    """
+    """A sum of sines along one axis on each run that holds its position, no force on others."""
 
     def __init__(self, wave: Array, axes: Sequence[int]) -> None:
         self._wave, self._at, self._wrench = wave, 0, np.zeros((2 * len(axes), 6))
@@ -177,9 +175,7 @@ class _Pushes:
 
 
 def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
-    """``follows`` and ``yields`` (L, len(axes), 6): the response of every axis to a motion or a
-    force along each of ``axes``.
-    """
+    """``follows``, ``yields`` (L, len(axes), 6): response to a motion or force along each axis."""
     tick, m = scenario.tick, scenario.substeps
     still = np.zeros((1, len(axes), 6), dtype=complex)
     still[0, range(len(axes)), list(axes)] = 1.0

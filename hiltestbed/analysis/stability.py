@@ -217,9 +217,7 @@ def worst_of(
 
 
 def _computes(scenario: Scenario, ways: Sequence[Direction], exact: bool) -> bool:
-    """Whether the first contact is a spring and a damper along one line on an ideal rig, so that
-    the computed bounce is exact.
-    """
+    """Whether the first contact is a spring and damper along one line on an ideal rig."""
     straight = len(ways) == 1 and not ways[0].slant and scenario.mechanism.contact.friction == 0.0
     straight &= not any(e.link == "contact" for e in scenario.effects)
     straight &= not (exact and scenario.compensation.motion.corrects_force)
@@ -274,9 +272,7 @@ def judge(
 
 
 def _caveat(scenario: Scenario, contact: Direction) -> str | None:
-    """Why the bounce of a contact may differ from that in the run; for the first contact: which
-    effects it does not include.
-    """
+    """Why the bounce of a contact may differ from that in the run."""
     if contact.name == LATER:
         return (
             "an upper bound: the line of a later touch is not known, and the platform's "
@@ -301,9 +297,7 @@ def _caveat(scenario: Scenario, contact: Direction) -> str | None:
 
 
 def _bears(rebounds: Rebounds, fine: RigResponse, contact: Direction) -> float | None:
-    """Delay of the force [s] from which a contact gains energy: its net damping is zero, or a
-    bounce ends as fast as it began.
-    """
+    """Delay of the force [s] from which a contact gains energy, or a bounce ends no slower."""
     most = largest_delay(fine, contact.mass, contact.stiffness, contact.damping)
     if most is None or contact.pulls or rebounds.at(most, contact.stiffness).rebound < 1.0:
         return most
@@ -330,28 +324,16 @@ def net_damping(
     """Frequency of the contact [Hz], its net damping [N s/m]; None beyond those measured."""
     w = 2.0 * math.pi * fine.frequency
     dynamic = _dynamic(fine, stiffness, damping) * np.exp(-1j * w * delay)
-    balance = dynamic.real - mass * w * w
-    k = _crossing(balance)
-    if k is None:
-        return None
-    at = _between(balance, k)
-    swing = w[k] + at * (w[k + 1] - w[k])
-    across = dynamic.imag[k] + at * (dynamic.imag[k + 1] - dynamic.imag[k])
-    return float(swing / (2.0 * math.pi)), float(across / swing)
+    found = _at_crossing(w, dynamic.real - mass * w * w, dynamic.imag)
+    return None if found is None else (found[0] / (2.0 * math.pi), found[1] / found[0])
 
 
 def largest_delay(fine: RigResponse, mass: float, stiffness: float, damping: float) -> float | None:
     """Delay of the force [s] at which the net damping is zero; None beyond those measured."""
     w = 2.0 * math.pi * fine.frequency
     dynamic = _dynamic(fine, stiffness, damping)
-    balance = np.abs(dynamic) - mass * w * w
-    k = _crossing(balance)
-    if k is None:
-        return None
-    at = _between(balance, k)
-    phase = np.unwrap(np.angle(dynamic))
-    swing = w[k] + at * (w[k + 1] - w[k])
-    return float((phase[k] + at * (phase[k + 1] - phase[k])) / swing)
+    found = _at_crossing(w, np.abs(dynamic) - mass * w * w, np.unwrap(np.angle(dynamic)))
+    return None if found is None else found[1] / found[0]
 
 
 def _dynamic(fine: RigResponse, stiffness: float, damping: float) -> Complex:
@@ -359,14 +341,15 @@ def _dynamic(fine: RigResponse, stiffness: float, damping: float) -> Complex:
     return contact * fine.follows / (1.0 + contact * fine.yields)
 
 
-def _crossing(balance: Array) -> int | None:
-    """Index before the first value of ``balance`` below zero; None if there is none."""
+def _at_crossing(w: Array, balance: Array, values: Array) -> tuple[float, float] | None:
+    """Frequency [rad/s] at which ``balance`` first falls below zero, and ``values`` there."""
     below = np.flatnonzero(balance < 0.0)
-    return int(below[0]) - 1 if len(below) and below[0] > 0 else None
-
-
-def _between(balance: Array, k: int) -> float:
-    return float(balance[k] / (balance[k] - balance[k + 1]))
+    if not len(below) or below[0] == 0:
+        return None
+    k = int(below[0]) - 1
+    at = balance[k] / (balance[k] - balance[k + 1])
+    swing, value = (float(v[k] + at * (v[k + 1] - v[k])) for v in (w, values))
+    return swing, value
 
 
 def _largest_stiffness(

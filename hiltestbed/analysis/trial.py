@@ -67,7 +67,6 @@ BELOW_ANY_BOUNCE = 1e-12  # [m/s] limit for a latch to close, below the speed of
 ROUNDS = 4  # searches for a limit, at most
 # relative change at which a limit has converged; relative resolution of a computed rebound
 SAME = 2e-3
-CHECK_INTERVAL = 10  # ticks between two checks of whether the bodies have separated
 STEPS = 500  # per bounce: error of e 2e-3
 # half periods of the contact, and lags of the loop, that together bound the duration of a bounce
 HALF_PERIODS, LAGS = 1.3, 3.0
@@ -131,7 +130,7 @@ class FirstContact:
             # a denominator is zero or has overflowed, with numbers far from those of any rig
             except ZeroDivisionError:
                 return None
-            if loop.k % CHECK_INTERVAL == 0 and loop.tally.rebounded[0] and loop.alive[0]:
+            if loop.tally.rebounded[0]:
                 break
         return self._ended(loop) if loop.alive[0] else None
 
@@ -295,7 +294,8 @@ def bounce(
     span = HALF_PERIODS * math.pi * math.sqrt(mass / stiffness) + LAGS * max(delay + lag, 0.0)
     t = np.linspace(0.0, span, STEPS + 1)
     dt = float(t[1])
-    g = dt * (_carried(response, lag, t - delay) / mass + _yielded(response, t))
+    yields = _summed(response, response.yields[1:], t) if response.yields.any() else 0.0
+    g = dt * (_carried(response, lag, t - delay) / mass + yields)
     force = np.zeros(len(t))
     work = _met(t, g, dt, stiffness, damping, force)
     after = 1.0 - dt * (float(force.sum()) - 0.5 * force[0]) / mass
@@ -303,9 +303,7 @@ def bounce(
 
 
 def _met(t: Array, g: Array, dt: float, stiffness: float, damping: float, force: Array) -> float:
-    """The force of the contact at ``t`` (N,) after an approach at 1 m/s into ``force`` (N,), zeros,
-    and the work that is done on it.
-    """
+    """Write the ``force`` (N,) after an approach at 1 m/s; returns the work that is done on it."""
     place, work = 0.0, 0.0
     force[0] = damping
     for j in range(1, len(t)):
@@ -341,21 +339,10 @@ def _carried(response: RigResponse, lag: float, t: Array) -> Array:
     return np.where(t > 0.0, ramp + _summed(response, rest, t), 0.0)
 
 
-def _yielded(response: RigResponse, t: Array) -> Array:
-    """The inverse transform of Y at ``t`` [s]."""
-    return (
-        np.zeros(len(t))
-        if not np.any(response.yields)
-        else _summed(response, response.yields[1:], t)
-    )
-
-
 def _summed(response: RigResponse, lines: NDArray[np.complex128], t: Array) -> Array:
-    """The inverse transform of values at the lines above 0 Hz, for responses that decay within half
-    a period of the line spacing.
-
-    ``t`` (N,) is evenly spaced, so that its N sums are products of about sqrt(N) coarse and sqrt(N)
-    fine rotations of each line.
+    """The inverse transform at even ``t`` (N,) of values at the lines above 0 Hz, of a response
+    that decays within half a period of the line spacing; its N sums are products of about sqrt(N)
+    coarse and sqrt(N) fine rotations of each line.
     """
     spacing = float(response.frequency[1] - response.frequency[0])
     turns = 2j * math.pi * response.frequency[1:]

@@ -16,18 +16,17 @@ from hiltestbed.frames import Array
 from hiltestbed.loop import Loop
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.scenario import Scenario
-from hiltestbed.signals import Trace
+from hiltestbed.signals import AXES, Trace
 
 FREQUENCIES = (1.0, 2.0, 4.0, 8.0)  # [Hz]
 DELAYS = (0.002, 0.005, 0.010, 0.020)  # [s]
 DAMPING_RATIOS = (0.02, 0.05, 0.2)
 RATE = 2000.0
-SPEED = 0.03  # [m/s]
+AXIAL = AXES.index("z")
 # until the touch; with a touch on a tick, round-off would decide whether the force starts at that
 # tick
 APPROACH_TICKS = 60.37
 MASSES = (500.0, 2000.0)  # [kg] chaser, target
-NOISE = 0.002  # 1 sigma over the peak force
 ARM = 0.05  # [m] ratio of torque noise to force noise
 
 
@@ -47,10 +46,10 @@ class BenchContact:
     damping_ratio: float
     delay_knowledge: str = "exact"
     tracking: str = "ideal"
-    noise: float = NOISE
+    noise: float = 0.002
     seed: int = 1
     masses: tuple[float, float] = MASSES
-    speed: float = SPEED
+    speed: float = 0.03  # [m/s]
     changes: dict[str, Any] = field(default_factory=dict)  # of the scenario: a random rig
 
     @property
@@ -199,7 +198,7 @@ class BenchRuns:
     trace: Trace | None = None
 
 
-def bounce(scenarios: list[Scenario], nthread: int = 1, trace: bool = False) -> BenchRuns:
+def bounce(scenarios: list[Scenario], trace: bool = False, nthread: int = 2) -> BenchRuns:
     """Run a batch until every run has rebounded or reached its duration."""
     loop = Loop(scenarios, nthread)
     ticks = max(s.ticks for s in scenarios)

@@ -32,23 +32,21 @@ from hiltestbed.bench.contacts import (
 )
 from hiltestbed.bench.contenders import BEST, CONTENDERS, Contender, contenders
 from hiltestbed.bench.cor_report import cor_report
-from hiltestbed.bench.result import BenchResult
+from hiltestbed.bench.result import BenchResult, Progress, silent
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.loop import Loop
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import log_error, reference_scenario
 
-Progress = Callable[[float, float], None]
 T = TypeVar("T")
-THREADS = 2
 COST_RUNS, COST_TICKS = 64, 300  # the touch is at tick 60, its delayed force arrives at tick 100
 REPORT = 4.0  # effort of the report's figures
 BOUNDARY = ("none", "phase_lead", BEST)
 RANDOM_METHODS = ("none", "phase_lead", "reconstruction", BEST)
 
 
-def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
+def cor(quick: bool = False, progress: Progress = silent) -> BenchResult:
     """All methods on the whole grid; ``quick``: on its corners."""
     contacts = grid((2.0, 8.0), (0.005, 0.020), damping_ratios=(0.05,)) if quick else grid()
     methods = contenders()
@@ -69,10 +67,14 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     whole = effort(contacts) + sum(effort(under[condition]) for condition, _ in jobs)
     whole += len(random_methods) * random_effort + boundary_effort
     whole += len(methods) * cost_effort + REPORT
-    step = _counter(progress, whole)
-    reference = bounce(
-        [reference_scenario(c.scenario({"kind": "none"})) for c in contacts], THREADS
-    )
+    done = 0.0
+
+    def step(work: float) -> None:
+        nonlocal done
+        done += work
+        progress(min(done, whole), whole)
+
+    reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in contacts])
     step(effort(contacts))
     records: list[dict[str, Any]] = []
     random_records: list[dict[str, Any]] = []
@@ -143,7 +145,7 @@ def measure(
 ) -> list[dict[str, Any]]:
     """One record per contact."""
     servo = contacts[0].tracking == "servo"
-    result = bounce(_scenarios(contender, contacts), THREADS, trace=servo)
+    result = bounce(_scenarios(contender, contacts), trace=servo)
     return [
         _record(contender, c, result, reference, i) | (_tracking(result, i) if servo else {})
         for i, c in enumerate(contacts)
@@ -209,8 +211,8 @@ def measure_random(contender: Contender, rigs: Sequence[BenchContact]) -> list[d
     angular, the larger of both bodies'.
     """
     scenarios = _scenarios(contender, rigs)
-    result = bounce(scenarios, THREADS)
-    reference = bounce([reference_scenario(s) for s in scenarios], THREADS)
+    result = bounce(scenarios)
+    reference = bounce([reference_scenario(s) for s in scenarios])
     shape = (-1, 2, 2, 3)  # rig, body, linear or angular, axis
     change = np.linalg.norm((reference.velocity - reference.start).reshape(shape), axis=3)
     error = np.linalg.norm((result.velocity - reference.velocity).reshape(shape), axis=3)
@@ -259,7 +261,7 @@ def stability_boundary(points: int) -> dict[str, Any]:
     out: dict[str, Any] = {"frequency": frequencies, "delay": delays, "damping_ratio": 0.05}
     for name in BOUNDARY:
         contender = next(m for m in CONTENDERS if m.name == name and m.contact == "first")
-        figures = bounce(_scenarios(contender, contacts), THREADS).figures
+        figures = bounce(_scenarios(contender, contacts)).figures
         cor = np.array([np.nan if f.cor is None else f.cor for f in figures])
         out[name] = cor.reshape(points, points).tolist()
     return out
@@ -334,15 +336,3 @@ def leaderboard(
 def _largest(records: Sequence[dict[str, Any]]) -> float | None:
     errors = [r["cor_log_error"] for r in records]
     return max(abs(e) for e in errors) if errors and None not in errors else None
-
-
-def _counter(progress: Progress | None, total: float) -> Callable[[float], None]:
-    done = 0.0
-
-    def step(work: float) -> None:
-        nonlocal done
-        done += work
-        if progress:
-            progress(min(done, total), total)
-
-    return step

@@ -115,7 +115,17 @@ def _heat_maps(records: Sequence[dict[str, Any]]):
         axis.axis("off")
     for axis, (name, contact) in zip(axes.flat, methods, strict=False):
         mine = [r for r in exact if (r["method"], r["contact"]) == (name, contact)]
-        _heat_map(axis, worst_errors(mine, frequencies, delays), norm, frequencies, delays)
+        values = worst_errors(mine, frequencies, delays)
+        shown = np.where(np.abs(values) < NOTHING, 0.0, values)
+        axis.imshow(shown, norm=norm, cmap=COLORS, origin="lower", aspect="auto")
+        axis.set_facecolor("#c8ced4")
+        for (i, j), value in np.ndenumerate(values):
+            color = "white" if abs(value) > 0.05 else "black"  # black for NaN
+            axis.text(j, i, cell_text(value), ha="center", va="center", fontsize=7, color=color)
+        axis.set_xticks(range(len(delays)), [f"{1e3 * d:g}" for d in delays], fontsize=7)
+        axis.set_yticks(range(len(frequencies)), [f"{f:g}" for f in frequencies], fontsize=7)
+        axis.set_xlabel("delay [ms]", fontsize=7)
+        axis.set_ylabel("frequency [Hz]", fontsize=7)
         axis.set_title(f"{name}, {contact}", fontsize=9)
     bar = figure.colorbar(
         ScalarMappable(norm, COLORS), ax=axes, extend="both", shrink=0.6, aspect=40
@@ -138,21 +148,6 @@ def worst_errors(
         elif abs(r["cor_log_error"]) > abs(values[i, j]):
             values[i, j] = r["cor_log_error"]
     return values
-
-
-def _heat_map(
-    axis, values: np.ndarray, norm: Any, frequencies: Sequence[float], delays: Sequence[float]
-) -> None:
-    shown = np.where(np.abs(values) < NOTHING, 0.0, values)
-    axis.imshow(shown, norm=norm, cmap=COLORS, origin="lower", aspect="auto")
-    axis.set_facecolor("#c8ced4")
-    for (i, j), value in np.ndenumerate(values):
-        color = "white" if abs(value) > 0.05 else "black"  # black for NaN
-        axis.text(j, i, cell_text(value), ha="center", va="center", fontsize=7, color=color)
-    axis.set_xticks(range(len(delays)), [f"{1e3 * d:g}" for d in delays], fontsize=7)
-    axis.set_yticks(range(len(frequencies)), [f"{f:g}" for f in frequencies], fontsize=7)
-    axis.set_xlabel("delay [ms]", fontsize=7)
-    axis.set_ylabel("frequency [Hz]", fontsize=7)
 
 
 def cell_text(value: float) -> str:

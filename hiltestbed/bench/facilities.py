@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from hiltestbed.analysis.stability import measured_response, stability
-from hiltestbed.bench.result import BenchResult
+from hiltestbed.bench.result import BenchResult, Progress, silent
 from hiltestbed.bench.throughput import side_by_side
 from hiltestbed.build import runnable_from
 from hiltestbed.numerical_model.bodies import effective_mass
@@ -27,29 +26,25 @@ from hiltestbed.report.page import Report, new_figure
 from hiltestbed.scenario import Scenario, load_scenario, resolved
 from hiltestbed.simulation import log_error, reference_scenario, simulate
 
-DELAY = 0.002  # [s] of the force sensor
 RATIO = 0.05  # damping ratio of the contacts
 STIFFNESS = (1.0e4, 5.0e4, 1.0e5)  # [N/m]: 0.8, 1.8, 2.5 Hz
 LEAST = 1e-4  # smallest |ln(e/e_ref)| that is drawn
-QUIET = {"sensor": {"delay": DELAY}, "identification.kind": "none"}
+QUIET = {"sensor": {"delay": 0.002}, "identification.kind": "none"}
 NONE = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
-Progress = Callable[[int, int], None]
 
 
-def facilities(quick: bool = False, progress: Progress | None = None) -> BenchResult:
+def facilities(quick: bool = False, progress: Progress = silent) -> BenchResult:
     """Every facility with every compensation; ``quick``: one contact, no docking."""
     stiffness, entered = STIFFNESS[1:2] if quick else STIFFNESS, facilities_entered()
     records, rigs = [], []
     for done, (name, platform) in enumerate(entered.items()):
-        if progress:
-            progress(done, len(entered))
+        progress(done, len(entered))
         contacts = [bounce(platform, k) for k in stiffness]
         records += [r | {"facility": name} for r in _bounces(contacts)]
         if not quick:
             records += [r | {"facility": name} for r in _dockings(platform)]
         rigs.append(_rig(name, contacts[0], 2 if quick else 6))
-    if progress:
-        progress(len(entered), len(entered))
+    progress(len(entered), len(entered))
     summary = {"rigs": rigs, "worst": _worst(records)}
     lines = [(f"{w['facility']}, {w['treatment']}", _line(w)) for w in summary["worst"]]
     return BenchResult("facilities", records, summary, facilities_report(records, summary), lines)
@@ -103,7 +98,11 @@ def treatments(scenario: Scenario) -> dict[str, tuple[dict[str, Any], str]]:
         return {"as it is": (NONE, "none")}
     contact = scenario.mechanism.contact
     judged = stability(treated(scenario, NONE | {"motion": {"kind": "feedforward"}}))
-    lost = contact.damping - judged["net_damping"] if judged else contact.stiffness * DELAY
+    lost = (
+        contact.damping - judged["net_damping"]
+        if judged
+        else contact.stiffness * scenario.sensor.delay
+    )
     method, cure = platform.cure(max(lost, 0.0))
     return {"uncompensated": (NONE, "none"), method: (cure, "none"), "default": ({}, "rls")}
 

@@ -8,18 +8,16 @@ seeds whose reported 95 % interval contains the true value.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from hiltestbed.bench.contacts import BenchContact, bounce, grid
-from hiltestbed.bench.result import BenchResult
+from hiltestbed.bench.contacts import AXIAL, BenchContact, bounce, grid
+from hiltestbed.bench.result import BenchResult, Progress, silent
 from hiltestbed.report.page import Report, new_figure
 
-Progress = Callable[[int, int], None]
-THREADS = 2
 FORCE = {"kind": "resynchronised"}
 METHODS: dict[str, dict[str, Any]] = {
     "rls": {"kind": "rls"},
@@ -32,11 +30,10 @@ METHODS: dict[str, dict[str, Any]] = {
 }
 NOISES = (0.001, 0.002, 0.005, 0.02)  # of the peak force
 NORMAL_95 = 1.96
-AXIAL = 2
 CALIBRATION = BenchContact(4.0, 0.01, 0.05)
 
 
-def identification(quick: bool = False, progress: Progress | None = None) -> BenchResult:
+def identification(quick: bool = False, progress: Progress = silent) -> BenchResult:
     """All methods: all contacts at 0.2 % noise, corners at others; ``quick``: corners at 0.2 %."""
     seeds = 4 if quick else 16
     noises = (0.002,) if quick else NOISES
@@ -48,13 +45,11 @@ def identification(quick: bool = False, progress: Progress | None = None) -> Ben
     records: list[dict[str, Any]] = []
     done = 0
     for (method, noise), grid_of in zip(at, contacts, strict=True):
-        if progress:
-            progress(done, work)
+        progress(done, work)
         records += measure(method, grid_of, noise, seeds)
         done += len(grid_of) * seeds
     intervals = interval_coverage(intervals_of)
-    if progress:
-        progress(work, work)
+    progress(work, work)
     board = leaderboard(records)
     summary = {"leaderboard": board, "intervals": intervals, "best": board[0]["method"]}
     lines = []
@@ -79,7 +74,7 @@ def measure(
         for c in contacts
         for seed in range(seeds)
     ]
-    result = bounce([c.scenario(FORCE, METHODS[method]) for c in runs], THREADS)
+    result = bounce([c.scenario(FORCE, METHODS[method]) for c in runs])
     estimate: Any = result.loop.identification
     stiffness, damping = estimate.stiffness[:, AXIAL], estimate.damping[:, AXIAL]
     records = []
@@ -111,7 +106,7 @@ def _spread(name: str, errors: np.ndarray) -> dict[str, Any]:
 def interval_coverage(seeds: int) -> dict[str, float]:
     """Share of seeds whose 95 % interval of k, and of c, contains the true value."""
     runs = [replace(CALIBRATION, seed=seed) for seed in range(seeds)]
-    result = bounce([c.scenario(FORCE, METHODS["rls"]) for c in runs], THREADS)
+    result = bounce([c.scenario(FORCE, METHODS["rls"]) for c in runs])
     estimate = result.loop.identification
     held = {}
     for name, truth in (("stiffness", CALIBRATION.stiffness), ("damping", CALIBRATION.damping)):

@@ -10,12 +10,12 @@ share :data:`UNKNOWN` of that of the sensor.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from hiltestbed.bench.contenders import Briefing, contenders
-from hiltestbed.bench.result import BenchResult
+from hiltestbed.bench.result import BenchResult, Progress, silent
 from hiltestbed.build import runnable_from
 from hiltestbed.compensation.settings import MOTION_METHODS
 from hiltestbed.contact.directions import acting_along_z
@@ -29,7 +29,6 @@ UNKNOWN = 0.2  # of sensor.delay: that by which `bench cor` lets the known delay
 HEADER = ("method", "knows", "ln(e/e_ref)", "20 % late", "energy [J]")
 ERRORS = ("cor_log_error", "late")
 RAN = ("completed", "diverged", "stopped")
-Progress = Callable[[float, float], None]
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ class RankedMethod:
         )
 
 
-def rank(scenario: Scenario, progress: Progress | None = None) -> BenchResult:
+def rank(scenario: Scenario, progress: Progress = silent) -> BenchResult:
     """All methods on a scenario, best first; their records and the report.
 
     Raises:
@@ -97,15 +96,13 @@ def rank(scenario: Scenario, progress: Progress | None = None) -> BenchResult:
         section = {"force": method.force(known), "motion": own["motion"]}
         row = RankedMethod("force", method.name, needs, section, "completed")
         forces.append(_measured(scenario, reference, row))
-        if progress:
-            progress(done + 1.0, whole)
+        progress(done + 1.0, whole)
     forces.sort(key=lambda row: row.order)
     for done, kind in enumerate(motions):
         section = {"force": forces[0].section["force"], "motion": {"kind": kind}}
         row = RankedMethod("motion", kind, "", section, "completed")
         others.append(_measured(scenario, reference, row))
-        if progress:
-            progress(len(methods) + done + 1.0, whole)
+        progress(len(methods) + done + 1.0, whole)
     others.sort(key=lambda row: row.order)
     summary = {
         "name": scenario.name,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +15,11 @@ from hiltestbed.run_folder.store import whole_folder
 from hiltestbed.run_folder.versions import versions
 
 BENCH, REPORT = "bench.json", "report.html"
+Progress = Callable[[float, float], None]  # work done, and in total
+
+
+def silent(done: float, total: float) -> None:
+    """Shows no progress."""
 
 
 @dataclass

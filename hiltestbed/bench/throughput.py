@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from hiltestbed.analysis.metrics import take_figures
-from hiltestbed.bench.result import BenchResult
+from hiltestbed.bench.result import BenchResult, Progress, silent
 from hiltestbed.campaign.cases import run_chunk
 from hiltestbed.campaign.schema import load_campaign
 from hiltestbed.compiled.bound import bound
@@ -41,10 +41,9 @@ DOCKING_TICKS = 1000  # 0.5 s, with contact in the last two thirds
 CHUNK = 64
 CASES = ((64, 250), (128, 250), (256, 250), (512, 250), (1024, 250))  # (cases, ticks)
 TICKS = ((64, 250), (64, 500), (64, 1000), (64, 2000), (64, 4000))
-Progress = Callable[[int, int], None]
 
 
-def throughput(quick: bool = False, progress: Progress | None = None) -> BenchResult:
+def throughput(quick: bool = False, progress: Progress = silent) -> BenchResult:
     """Loop against bare steps, 1 to 512 runs; recording; scaling with cases and ticks."""
     scenario = load_scenario(shipped("scenarios") / "reference-bumper.yaml")
     sizes = [(n, t) for t in (1, 2) for n in (1, 4, 16, 64, 256, 512)]
@@ -52,8 +51,7 @@ def throughput(quick: bool = False, progress: Progress | None = None) -> BenchRe
         sizes = [(1, 1), (64, 1), (64, 2)]
     records = []
     for done, (n, threads) in enumerate(sizes):
-        if progress:
-            progress(done, len(sizes) + 1)
+        progress(done, len(sizes) + 1)
         records.append(side_by_side(scenario, n, threads, stretches=6 if quick else 12))
     recording = seconds_per_1e5_ticks(scenario)
     single = next(r for r in records if r["runs"] == 1 and r["threads"] == 1)
@@ -68,8 +66,7 @@ def throughput(quick: bool = False, progress: Progress | None = None) -> BenchRe
     blocks = {n: per_block(scenario, n) for n in (1, 64)}
     grown = growth(quick)
     summary |= {"growth": grown, "memory": max(record["memory"] for record in grown)}
-    if progress:
-        progress(len(sizes) + 1, len(sizes) + 1)
+    progress(len(sizes) + 1, len(sizes) + 1)
     lines = [
         ("one pass of the loop over its bare steps, one run", f"{single['ratio']:.2f}"),
         ("a sim-tick of 64 runs over its bare steps, 2 threads", f"{batch['ratio']:.2f}"),

@@ -9,7 +9,8 @@ import hashlib
 import json
 import tempfile
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -129,21 +130,15 @@ def lockstep_groups(
 
 def structural_keys(campaign: LoadedCampaign) -> list[str]:
     """The varied keys that change the skeleton, found by setting each listed value alone."""
-    return [
-        key
-        for key, variation in campaign.spec.vary.items()
-        if len(_skeletons(campaign, key, variation.values or ())) > 1
-    ]
-
-
-def _skeletons(campaign: LoadedCampaign, key: str, values: Iterable[Any]) -> set[str]:
-    found = set()
-    for value in values:
-        try:
-            found.add(skeleton(runnable_from(campaign.source, {key: value})))
-        except InputError:
-            continue
-    return found
+    structural = []
+    for key, variation in campaign.spec.vary.items():
+        found = set()
+        for value in variation.values or ():
+            with suppress(InputError):
+                found.add(skeleton(runnable_from(campaign.source, {key: value})))
+        if len(found) > 1:
+            structural.append(key)
+    return structural
 
 
 @dataclass
@@ -167,7 +162,9 @@ def run_chunk(campaign: LoadedCampaign, cases: Sequence[int]) -> ChunkResult:
             scenarios.append((case, runnable_from(campaign.source, values[case])))
         except InputError as error:
             result.rows.append(row(campaign.spec, case, values[case], None, str(error), None))
-    for group in lockstep_groups(scenarios, _group_size(campaign, scenarios)):
+    longest = max((s.ticks for _, s in scenarios if _has_rows(campaign, s)), default=0)
+    size = ROWS_LIMIT // longest if longest else len(scenarios)
+    for group in lockstep_groups(scenarios, max(size, 1)):
         _run_group(campaign, group, values, result)
     result.wall = time.perf_counter() - start
     return result
@@ -177,11 +174,6 @@ def _has_rows(campaign: LoadedCampaign, scenario: Scenario) -> bool:
     """Whether rows of the trace are needed: kept, or because `log.*` effects act on the record."""
     on_record = any(effect.link == "log" for effect in scenario.effects)
     return campaign.spec.keep != "summary" or on_record
-
-
-def _group_size(campaign: LoadedCampaign, scenarios: list[tuple[int, Scenario]]) -> int:
-    longest = max((s.ticks for _, s in scenarios if _has_rows(campaign, s)), default=0)
-    return max(1, ROWS_LIMIT // longest) if longest else max(len(scenarios), 1)
 
 
 def _run_group(
@@ -218,11 +210,6 @@ def _run_group(
             result.files |= _kept_files(case, run, recording=keep == "all")
 
 
-def case_folder(case: int) -> str:
-    """The folder of a case below `cases/`, zero-padded so that a listing is in case order."""
-    return f"{case:08d}"
-
-
 def _kept_files(case: int, run: Any, recording: bool) -> dict[str, bytes]:
     """The trace alone, or the whole run folder, as bytes: the worker may be on another machine."""
     from hiltestbed.run_folder.store import TRACE, write_run, write_trace
@@ -235,7 +222,7 @@ def _kept_files(case: int, run: Any, recording: bool) -> dict[str, bytes]:
             folder.mkdir()
             write_trace(run.trace, folder / TRACE)
         return {
-            f"{case_folder(case)}/{file.relative_to(folder)}": file.read_bytes()
+            f"{case:08d}/{file.relative_to(folder)}": file.read_bytes()
             for file in sorted(folder.rglob("*"))
             if file.is_file()
         }

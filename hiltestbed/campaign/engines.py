@@ -34,29 +34,24 @@ def serial(campaign: LoadedCampaign, chunks: Iterable[Chunk]) -> Results:
         yield run_chunk(campaign, chunk)
 
 
-def processes(workers: int) -> Engine:
-    """The engine of `workers` processes on this machine."""
-
-    def engine(campaign: LoadedCampaign, chunks: Iterable[Chunk]) -> Results:
-        attempts: Counter[Chunk] = Counter()
-        waiting = iter(chunks)
-        again: list[Chunk] = []
-        while True:
-            lost = yield from _until_broken(campaign, waiting, again, workers)
-            if not lost:
-                return
-            attempts.update(lost)
-            for chunk in lost:
-                if attempts[chunk] >= ATTEMPTS:
-                    raise HiltestbedError(
-                        f"cases {min(chunk)} to {max(chunk)}: the worker process died {ATTEMPTS} "
-                        f"times (killed, or out of memory); "
-                        "the same command resumes where it stopped, with fewer --workers or a "
-                        "smaller --chunk"
-                    )
-            again = list(lost)
-
-    return engine
+def processes(workers: int, campaign: LoadedCampaign, chunks: Iterable[Chunk]) -> Results:
+    """By `workers` processes on this machine."""
+    attempts: Counter[Chunk] = Counter()
+    waiting = iter(chunks)
+    again: list[Chunk] = []
+    while True:
+        lost = yield from _until_broken(campaign, waiting, again, workers)
+        if not lost:
+            return
+        attempts.update(lost)
+        for chunk in lost:
+            if attempts[chunk] >= ATTEMPTS:
+                raise HiltestbedError(
+                    f"cases {min(chunk)} to {max(chunk)}: the worker process died {ATTEMPTS} times "
+                    f"(killed, or out of memory); the same command resumes where it stopped, with "
+                    f"fewer --workers or a smaller --chunk"
+                )
+        again = list(lost)
 
 
 def _until_broken(

@@ -38,7 +38,6 @@ UNITS = {"energy_generated": "J", "peak_force": "N", "contact_duration": "s", "t
 LINEAR_BELOW = 0.01
 MESH = 24  # points per side at which the boundary is evaluated
 BANDS = 16  # parts of a key over which a band is drawn
-MARGINAL_CHOICES = 6  # lines that can be distinguished in one figure
 
 
 def heat_maps(
@@ -91,7 +90,12 @@ def heat_maps(
         axis.set(xlim=(x_edges[0], x_edges[-1]), ylim=(y_edges[0], y_edges[-1]))
         axis.set_title(textwrap.fill(choice.label, 34), fontsize=9)
         if boundary is not None:
-            _draw_boundary(axis, *boundary)
+            x, y, margins = boundary
+            labels = ("contact that stays closed", "one bounce, e = 1")
+            for level, style, label in zip(margins, ("-", "--"), labels, strict=True):
+                line = {"colors": "black", "linestyles": style, "linewidths": 1.6}
+                axis.contour(x, y, level, levels=[0.0], **line)
+                axis.plot([], [], "k" + style, label=label)
             _draw_neutral(axis, edges, cells_of(choice, "cor", worst=False))
     _hide(axes, len(choices))
     # the lowest map of each column
@@ -237,8 +241,7 @@ def _boundary(
     logs: tuple[bool, bool],
 ):
     """(x, y, margins (2, MESH, MESH)) of the closed forms, zero where the rig starts to add energy;
-    other keys as in the campaign's scenario. None if they do not apply or no boundary lies within
-    the edges.
+    None if they do not apply or no boundary lies within the edges.
     """
     others = [key for key in campaign.spec.vary if key not in keys]
     if not boundary_applies(campaign.nominal) or not all(
@@ -282,11 +285,3 @@ def boundary_margin(scenario: Scenario) -> tuple[float, float]:
     delay = SensorParameters.believed(scenario.sensor).with_effects(scenario.effects).delay
     contact = SpringDamper(*acting_along_z(scenario.impact), effective_mass(scenario.spacecraft))
     return delay - contact.critical_delay, delay - contact.neutral_delay
-
-
-def _draw_boundary(axes: Any, x: Array, y: Array, margins: Array) -> None:
-    for level, style, label in zip(
-        margins, ("-", "--"), ("contact that stays closed", "one bounce, e = 1"), strict=True
-    ):
-        axes.contour(x, y, level, levels=[0.0], colors="black", linestyles=style, linewidths=1.6)
-        axes.plot([], [], "k" + style, label=label)

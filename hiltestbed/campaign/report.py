@@ -16,6 +16,7 @@ from hiltestbed.campaign.columns import CaseGroup, choices_of, in_words, is_nume
 from hiltestbed.campaign.schema import FIGURES, LoadedCampaign, Variation
 from hiltestbed.campaign.sensitivity import Sensitivity, explained_share, sensitivity
 from hiltestbed.frames import Array
+from hiltestbed.report.curves import PALETTE
 from hiltestbed.report.page import Report
 from hiltestbed.run_folder.folders import number, parquet_table
 
@@ -90,7 +91,12 @@ def write_report(folder: Path, campaign: LoadedCampaign) -> None:
     _active(report, cases.figures["cor"])
     _limits(report, cases.figures["limits_share"], cases.table["limits_worst"].to_pylist())
     order = _by_choice(report, cases)
-    strongest = _strongest(cases, found[cases.response])
+    indices = found[cases.response]  # by total index if reliable, else by what each explains alone
+    if indices is not None and indices.explained > TRUSTED:
+        strongest = [i.key for i in sorted(indices.indices, key=lambda index: -index.total)]
+    else:
+        own = {key: explained_share(v, cases.figure) for key, v in cases.inputs.items()}
+        strongest = sorted(own, key=lambda key: -own[key])
     _maps(report, cases, order, strongest)
     _marginals(report, cases, order, strongest)
     _sensitivities(report, list(cases.inputs), found)
@@ -168,13 +174,6 @@ def _by_choice(report: Report, cases: Cases) -> list[CaseGroup]:
     return [places[r.label] for r in ranked]
 
 
-def _strongest(cases: Cases, found: Sensitivity | None) -> list[str]:
-    """The keys, strongest first: by total index if reliable, else by what each explains alone."""
-    if found is not None and found.explained > TRUSTED:
-        return [index.key for index in sorted(found.indices, key=lambda index: -index.total)]
-    return sorted(cases.inputs, key=lambda key: -explained_share(cases.inputs[key], cases.figure))
-
-
 def _maps(
     report: Report, cases: Cases, choices: Sequence[CaseGroup], strongest: Sequence[str]
 ) -> None:
@@ -224,10 +223,10 @@ def _marginals(
     numeric = cases.numbers(strongest)
     if not numeric or np.isfinite(cases.figure).sum() < 8:
         return
-    from hiltestbed.campaign.figures import MARGINAL_CHOICES, marginals
+    from hiltestbed.campaign.figures import marginals
 
     report.heading(f"{cases.response} over each key alone")
-    shown = choices[:MARGINAL_CHOICES]
+    shown = choices[: len(PALETTE)]
     some = {key: cases.inputs[key] for key in numeric[:6]}
     picture = marginals(cases.campaign, some, cases.figure, cases.response, shown)
     words = (

@@ -128,8 +128,9 @@ def _fit(
     return Sensitivity(tuple(indices), max(0.0, 1.0 - float(np.mean(error**2))))
 
 
-def explained_share(values: Array, figure: Array, bins: int = 16) -> float:
-    """Variance of the figure's mean over at most ``bins`` bins of a key, over its own."""
+def explained_share(values: Array, figure: Array) -> float:
+    """Variance of the figure's mean over at most 16 bins of a key, over its own."""
+    bins = 16
     good = np.isfinite(figure)
     if good.sum() < 2 * bins or np.ptp(figure[good]) == 0.0:
         return 0.0

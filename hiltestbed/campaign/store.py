@@ -139,11 +139,6 @@ class Store:
         }
         write_whole(self.folder / ABOUT, json.dumps(about | more, indent=2).encode() + b"\n")
 
-    def is_complete(self) -> bool:
-        """Whether every case is in cases.parquet and nothing is left to do."""
-        whole = (self.folder / CASES).is_file()
-        return whole and read_about(self.folder).get("status") == "complete"
-
     def done(self) -> np.ndarray:
         """For each case, whether it is on disk. A chunk that cannot be read is removed."""
         flags = np.zeros(self.campaign.spec.cases, dtype=bool)
@@ -192,11 +187,6 @@ class Store:
         sync(partial)
         partial.replace(self.folder / CASES)
         sync(self.folder)
-
-    def remove_chunks(self) -> None:
-        """Deletes the chunks, once cases.parquet contains their rows."""
-        shutil.rmtree(self.chunks, ignore_errors=True)
-        (self.folder / LOCK).unlink(missing_ok=True)
 
 
 def _cases_in(file: Path) -> np.ndarray:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -17,9 +19,9 @@ from hiltestbed.build import runnable_from
 from hiltestbed.campaign import engines
 from hiltestbed.campaign.cases import case_values, structural_keys
 from hiltestbed.campaign.schema import LoadedCampaign, load_campaign
-from hiltestbed.campaign.store import CASES, Store, read_about, refuse_another
+from hiltestbed.campaign.store import CASES, LOCK, Store, read_about, refuse_another
 from hiltestbed.config.yaml_source import key_path
-from hiltestbed.errors import InputError, MissingExtra
+from hiltestbed.errors import InputError, of_extra
 from hiltestbed.run_folder.folders import html_table, parquet_table, safe_name
 from hiltestbed.scenario import Scenario
 from hiltestbed.scenario.idle import idle_keys
@@ -53,10 +55,7 @@ class Sweep:
 
     def to_pandas(self) -> Any:
         """cases.parquet as a pandas DataFrame, one row per case. Raises MissingExtra."""
-        try:
-            import pandas  # noqa: F401
-        except ImportError:
-            raise MissingExtra("to_pandas()", "pandas") from None
+        of_extra("pandas", "to_pandas()", "pandas")
         return self.cases().to_pandas()
 
     def cases(self):
@@ -87,13 +86,13 @@ def sweep(
         raise InputError(f"--workers {workers}: is out of range; allowed is 1 or more")
     folder = Path(out) if out is not None else default_folder(campaign)
     refuse_another(folder, campaign)
-    if Store(folder, campaign).is_complete():
+    if (folder / CASES).is_file() and read_about(folder).get("status") == "complete":
         return read_sweep(folder)
     engine, name = engines.serial, "this process"
     if scheduler:
         engine, name = engines.dask(scheduler), scheduler
     elif workers > 1:
-        engine, name = engines.processes(workers), f"{workers} processes"
+        engine, name = partial(engines.processes, workers), f"{workers} processes"
     with Store.opened(folder, campaign) as store:
         counts = _run(store, engine, chunk, progress)
         _finish(store, name, chunk, *counts)
@@ -159,7 +158,8 @@ def _finish(store: Store, engine: str, chunk: int, ran: int, wall: float) -> Non
     spent |= {"work": sum(entry["wall"] for entry in walls), "chunks": walls}
     about = {"status": "complete", "counts": counts, "engine": engine, "chunk": chunk}
     store.write_about(about | {"wall": spent})
-    store.remove_chunks()
+    shutil.rmtree(store.chunks, ignore_errors=True)  # cases.parquet has their rows
+    (store.folder / LOCK).unlink(missing_ok=True)
 
 
 def case_scenario(

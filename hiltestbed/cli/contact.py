@@ -84,7 +84,11 @@ def contact(
     from hiltestbed.run_folder.store import refuse_foreign
 
     _above_zero("--speed", speed, "m/s")
-    given = None if masses is None else _masses(masses)
+    given = None if masses is None else _pair("--masses", masses, "500,2000")
+    if given and (min(given) <= 0.0 or min(given) == math.inf or any(map(math.isnan, given))):
+        raise InputError(
+            f"--masses: must be above 0 [kg], and one of them finite (got {masses!r}); inf: fixed"
+        )
     if out is not None:
         refuse_foreign(out, CONTACT)
     if (mjcf is None) != (geom is None):
@@ -147,15 +151,6 @@ def _pair(option: str, text: str, example: str) -> tuple[float, float]:
             f"{option}: is not two numbers (got {text!r}); write for example {option} {example}"
         ) from None
     return first, second
-
-
-def _masses(text: str) -> tuple[float, float]:
-    found = _pair("--masses", text, "500,2000")
-    if not all(m > 0.0 for m in found) or all(math.isinf(m) for m in found):
-        raise InputError(
-            f"--masses: must be above 0 [kg], and one of them finite (got {text!r}); inf: fixed"
-        )
-    return found
 
 
 def _cor_in(engine: str, contact: SpringDamper, masses: tuple[float, float], speed: float) -> float:

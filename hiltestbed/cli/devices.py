@@ -24,7 +24,6 @@ from hiltestbed.process import interrupt
 
 if TYPE_CHECKING:
     from hiltestbed.devices.session import Observed, Options
-    from hiltestbed.scenario import Scenario
 
 Sensor = Annotated[
     str,
@@ -92,14 +91,16 @@ def live(
     from hiltestbed.run_folder.folders import safe_name
     from hiltestbed.run_folder.store import write_run
 
-    spec = _for_seconds(scenario, sets, seconds)
+    if seconds is not None:
+        sets = [*(sets or []), f"duration={seconds!r}"]
+    spec = read_scenario(scenario, sets)
     folder = result_folder(out, safe_name(f"{spec.name}-live"))
     interrupt.track_shared_memory()
     # remains if the process dies; deleted once the run is written
     rows = folder.with_name(folder.name + ".rows.f64")
     result = run_live(spec, _options(devices, rows))
     if isinstance(result, Observed):
-        _print_observed(result, spec, as_json)
+        _print_observed(result, spec.rate, as_json)
         return
     whole = result.trace is not None and len(result.trace.t) > 0
     write_run(result, folder, rerun=whole and not no_rerun)
@@ -139,11 +140,11 @@ def emulate(
 
     result = run_emulation(spec, sensor, platform, seconds, cpu, ready)
     if as_json:
-        print(json.dumps(vars(result)))
+        print(json.dumps(result))
     else:
         print(
-            f"{result.cycles} cycles, {result.missed} without a command in time, {result.skipped} "
-            f"skipped; {result.ended}"
+            "{cycles} cycles, {missed} without a command in time, {skipped} skipped; "
+            "{ended}".format(**result)
         )
 
 
@@ -227,15 +228,11 @@ def fmu(
 def _options(devices: DeviceOptions, record: Path | None = None) -> Options:
     from hiltestbed.devices.session import Options
 
+    def say(step: str) -> None:
+        print(step, file=sys.stderr, flush=True)
+
     return Options(
-        devices.sensor, devices.platform, devices.arm, devices.cpu, record=record, say=_say
-    )
-
-
-def _for_seconds(file: Path, sets: list[str] | None, seconds: float | None) -> Scenario:
-    """The scenario in a file, with its duration replaced by ``seconds`` if given."""
-    return read_scenario(
-        file, [*(sets or []), *([f"duration={seconds!r}"] if seconds is not None else [])]
+        devices.sensor, devices.platform, devices.arm, devices.cpu, record=record, say=say
     )
 
 
@@ -265,11 +262,7 @@ def _print_commission(found: dict[str, Any], folder: Path) -> None:
     )
 
 
-def _say(step: str) -> None:
-    print(step, file=sys.stderr, flush=True)
-
-
-def _print_observed(observed: Observed, scenario: Scenario, as_json: bool) -> None:
+def _print_observed(observed: Observed, rate: float, as_json: bool) -> None:
     figures: dict[str, Any] = {"armed": False, "rate": observed.rate, "fault": observed.fault}
     for name in ("pose", "wrench", "noise"):
         figures[name] = [float(v) for v in getattr(observed, name)]
@@ -279,7 +272,7 @@ def _print_observed(observed: Observed, scenario: Scenario, as_json: bool) -> No
         return
     print(
         f"not armed: nothing was commanded; {observed.rate:.1f} ticks a second, the scenario asks "
-        f"for {scenario.rate:g}"
+        f"for {rate:g}"
     )
     for name in ("pose", "wrench", "noise"):
         print(f"  {name:7s}" + " ".join(f"{value:11.5g}" for value in figures[name]))

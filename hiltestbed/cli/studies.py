@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -25,13 +25,6 @@ from hiltestbed.cli.options import (
 )
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.run_folder.folders import safe_name
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from hiltestbed.axis.diagnose import AxisDiagnosis
-    from hiltestbed.config.yaml_source import Source
-    from hiltestbed.diagnosis.report.diagnosis import Diagnosis
 
 app = typer.Typer()
 
@@ -240,10 +233,13 @@ def diagnose(
 
     hiltestbed check dataset.yaml && hiltestbed diagnose dataset.yaml --out results/mine
     """
-    from hiltestbed.axis.dataset import is_axis
+    from hiltestbed.axis.dataset import is_axis, load_axis
+    from hiltestbed.axis.diagnose import diagnose_axis
     from hiltestbed.compiled.warm import tell_of_compiling
-    from hiltestbed.config.dataset import label_of
+    from hiltestbed.config.budget import dataset_budget, refuse_beyond
+    from hiltestbed.config.dataset import dataset_from, label_of
     from hiltestbed.config.yaml_source import read_source
+    from hiltestbed.diagnosis.diagnose import diagnose as run_diagnosis
     from hiltestbed.diagnosis.report.diagnosis import DIAGNOSIS
     from hiltestbed.process.progress import step_line
 
@@ -252,7 +248,13 @@ def diagnose(
     folder = result_folder(out, f"diagnosis-{safe_name(label)}", DIAGNOSIS)
     source = read_source(dataset)
     with step_line(label) as progress:
-        found = _of_axis(source, progress) if is_axis(source) else _of_rig(source, folder, progress)
+        if is_axis(source):
+            found = diagnose_axis(load_axis(source), progress)
+        else:
+            loaded = dataset_from(source)
+            remedy = "fewer or shorter runs need less"
+            refuse_beyond(dataset_budget(loaded), source.file, remedy, folder)
+            found = run_diagnosis(loaded, progress)
         progress("report and recording")
         found.write(folder)
         result = found.to_json()
@@ -355,22 +357,3 @@ def export(
     if found.unsaid:
         print("MuJoCo cannot say:")
         print("".join(f"  {text}\n" for text in found.unsaid), end="")
-
-
-def _of_axis(source: Source, progress: Callable[[str], None]) -> AxisDiagnosis:
-    from hiltestbed.axis.dataset import load_axis
-    from hiltestbed.axis.diagnose import diagnose_axis
-
-    return diagnose_axis(load_axis(source), progress)
-
-
-def _of_rig(
-    source: Source, folder: Path, progress: Callable[[str], None]
-) -> Diagnosis | AxisDiagnosis:
-    from hiltestbed.config.budget import dataset_budget, refuse_beyond
-    from hiltestbed.config.dataset import dataset_from
-    from hiltestbed.diagnosis.diagnose import diagnose as run_diagnosis
-
-    loaded = dataset_from(source)
-    refuse_beyond(dataset_budget(loaded), source.file, "fewer or shorter runs need less", folder)
-    return run_diagnosis(loaded, progress)

@@ -13,7 +13,6 @@ import select
 import socket
 import sys
 import time
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -31,46 +30,17 @@ PERCENTILES = (50.0, 90.0, 99.0, 99.9, 99.99)
 BIN, BINS = 5e-6, 200
 
 
-@dataclass(frozen=True)
-class Times:
-    """Statistics of a time over all cycles [s]: percentiles by name, the maximum, and a histogram
-    whose last bin holds all longer times.
-    """
-
-    percentiles: dict[str, float]
-    worst: float
-    bin_width: float
-    histogram: list[int]
-
-
-@dataclass(frozen=True)
-class Steadiness:
-    """One measurement: whether a device was in the cycle; numbers of cycles begun, skipped because
-    of overruns, and with a missed deadline; times from due time to start, and from command to echo;
-    real-time settings granted and refused; fraction of the processors' time that the hypervisor
-    gave to other virtual machines, None if the system does not report it.
-    """
-
-    rate: float
-    device: bool
-    cycles: int
-    skipped: int
-    missed: int
-    wake_up: Times
-    round_trip: Times | None
-    granted: list[str]
-    refused: dict[str, str]
-    stolen: float | None
-
-    def record(self) -> dict[str, Any]:
-        """As plain data for a file."""
-        return asdict(self)
-
-
 def measure(
     rate: float, seconds: float, *, device: bool = False, priority: int | None = PRIORITY
-) -> Steadiness:
-    """Run cycles at ``rate`` [Hz] for ``seconds``. Raises InputError."""
+) -> dict[str, Any]:
+    """Run cycles at ``rate`` [Hz] for ``seconds``. Raises InputError.
+
+    Returns whether a ``device`` was in the cycle; numbers of ``cycles`` begun, ``skipped`` because
+    of overruns, and with a ``missed`` deadline; times from due time to start (``wake_up``) and from
+    command to echo (``round_trip``), see :func:`_times`; real-time settings ``granted`` and
+    ``refused``; ``stolen``, the fraction of the processors' time that the hypervisor gave to other
+    virtual machines, None if the system does not report it.
+    """
     if not 0.0 < seconds <= 86_400.0 or not 1.0 <= rate <= 20_000.0:
         raise InputError(
             f"the measurement cannot be made (got {rate:g} Hz for {seconds:g} s); allowed are 1 "
@@ -87,18 +57,18 @@ def measure(
     finally:
         if echo is not None:
             echo.close()
-    return Steadiness(
-        rate=rate,
-        device=device,
-        cycles=clock.cycles,
-        skipped=clock.skipped,
-        missed=missed,
-        wake_up=_times(clock.latency()),
-        round_trip=_times(round_trips[round_trips > 0.0]) if device else None,
-        granted=given.granted,
-        refused=given.refused,
-        stolen=_stolen(before, _processors()),
-    )
+    return {
+        "rate": rate,
+        "device": device,
+        "cycles": clock.cycles,
+        "skipped": clock.skipped,
+        "missed": missed,
+        "wake_up": _times(clock.latency()),
+        "round_trip": _times(round_trips[round_trips > 0.0]) if device else None,
+        "granted": given.granted,
+        "refused": given.refused,
+        "stolen": _stolen(before, _processors()),
+    }
 
 
 def _run(clock: CycleClock, round_trips: NDArray[np.float64], client: PlatformClient | None) -> int:
@@ -121,9 +91,7 @@ def _run(clock: CycleClock, round_trips: NDArray[np.float64], client: PlatformCl
 
 
 def _processors() -> list[int] | None:
-    """Times of all processors since the start, in the columns of the ``cpu`` line of /proc/stat
-    (proc_stat(5)); None without it.
-    """
+    """Times of all processors in the columns of /proc/stat (proc_stat(5)); None without it."""
     try:
         with open("/proc/stat", encoding="ascii") as file:
             columns = file.readline().split()[1:9]
@@ -140,13 +108,17 @@ def _stolen(before: list[int] | None, after: list[int] | None) -> float | None:
     return spent[-1] / sum(spent) if sum(spent) else 0.0
 
 
-def _times(values: NDArray[np.float64]) -> Times:
-    if not len(values):
-        return Times({f"{p:g}": np.inf for p in PERCENTILES}, np.inf, BIN, [0] * (BINS + 1))
+def _times(values: NDArray[np.float64]) -> dict[str, Any]:
+    """Statistics of a time over all cycles [s]: percentiles by name, the maximum, and a histogram
+    whose last bin holds all longer times.
+    """
+    levels, worst = np.full(len(PERCENTILES), np.inf), np.inf
+    if len(values):
+        levels, worst = np.percentile(values, PERCENTILES), float(values.max())
     histogram = np.bincount(np.minimum((values / BIN).astype(int), BINS), minlength=BINS + 1)
-    levels = np.percentile(values, PERCENTILES)
     named = {f"{p:g}": float(level) for p, level in zip(PERCENTILES, levels, strict=True)}
-    return Times(named, float(values.max()), BIN, histogram.tolist())
+    times = {"percentiles": named, "worst": worst, "bin_width": BIN}
+    return times | {"histogram": histogram.tolist()}
 
 
 class _Echo:

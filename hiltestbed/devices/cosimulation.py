@@ -12,7 +12,6 @@ import shutil
 import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ import numpy as np
 from hiltestbed.config.validation import nearest
 from hiltestbed.devices.interface import Array, DeviceError
 from hiltestbed.devices.url import refused
-from hiltestbed.errors import Fault, InputError, MissingExtra
+from hiltestbed.errors import Fault, InputError, of_extra
 from hiltestbed.measured.units import UNITS
 from hiltestbed.run_folder.folders import is_file
 
@@ -281,9 +280,7 @@ def described(path: Path) -> Any:
     """The description of an FMU that can be stepped here. Raises MissingExtra; InputError with
     every problem.
     """
-    if find_spec("fmpy") is None:
-        raise MissingExtra("stepping an FMU", "fmi")
-    import fmpy
+    fmpy = of_extra("fmpy", "stepping an FMU", "fmi")
     from fmpy.validation import validate_fmu
 
     if not is_file(path) or not zipfile.is_zipfile(path):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -23,18 +23,6 @@ from hiltestbed.devices.watch import said
 from hiltestbed.scenario import Scenario
 
 WARM_UP = 64  # ticks that are discarded; they compile the kernels that are not compiled yet
-
-
-@dataclass
-class Emulated:
-    """Result of an emulation: cycles, those without a command in time, why it ended, events."""
-
-    cycles: int
-    missed: int
-    skipped: int
-    ended: str
-    sensor: dict[str, int]
-    platform: dict[str, int]
 
 
 class Emulator:
@@ -92,8 +80,11 @@ def emulate(
     seconds: float | None = None,
     cpu: int | None = None,
     ready: Callable[[], None] | None = None,
-) -> Emulated:
+) -> dict[str, Any]:
     """Emulate the devices for ``seconds``, or until Ctrl-C; ``ready`` is called when both are open.
+
+    Returns ``cycles``, ``missed`` (without a command in time) and ``skipped``; why it ``ended``;
+    the events of ``sensor`` and ``platform``.
 
     Raises:
         InputError: a URL is wrong. HiltestbedError: the rig diverged.
@@ -114,5 +105,6 @@ def emulate(
             ended = "interrupted"
     if emulator.platform.stopped is not None:
         ended = f"{ended}; the platform had stopped: {emulator.platform.stopped}"
-    events = said(emulator.sensor), said(emulator.platform)
-    return Emulated(emulator.cycles, emulator.missed, clock.skipped, ended, *events)
+    counts = {"cycles": emulator.cycles, "missed": emulator.missed, "skipped": clock.skipped}
+    events = {"sensor": said(emulator.sensor), "platform": said(emulator.platform)}
+    return {**counts, "ended": ended, **events}

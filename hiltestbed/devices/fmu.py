@@ -17,7 +17,6 @@ import shutil
 import tempfile
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from importlib.util import find_spec
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ import numpy as np
 
 from hiltestbed.devices.cosimulation import POSE, WRENCH
 from hiltestbed.devices.interface import UNIT_LENGTH, Array
-from hiltestbed.errors import HiltestbedError, InputError, MissingExtra
+from hiltestbed.errors import HiltestbedError, InputError, of_extra
 
 WHOLE = 1e-6  # of a tick: largest deviation of a communication step from a whole number of ticks
 SCENARIO = "scenario.yaml"  # its name among the FMU's resources
@@ -196,10 +195,7 @@ def pack(
     scenario; returns what ``packed`` packs, a physical side or a force sensor. Raises MissingExtra,
     InputError.
     """
-    if find_spec("pythonfmu3") is None:
-        raise MissingExtra("packing an FMU", "fmi")
-    from pythonfmu3.builder import FmuBuilder
-
+    builder = of_extra("pythonfmu3.builder", "packing an FMU", "fmi").FmuBuilder
     if not name.isidentifier() or not name.isascii():
         raise InputError(
             f"name: is no name of an FMU (got {name!r}); allowed: letters, digits and _, "
@@ -212,4 +208,4 @@ def pack(
         text = _SCRIPT.format(**named, description=description.replace('"', "'"))
         script.write_text(text, encoding="utf-8")
         shutil.copyfile(scenario, copied)
-        return FmuBuilder.build_FMU(script, folder, [copied])
+        return builder.build_FMU(script, folder, [copied])

@@ -200,12 +200,6 @@ class SensorClient(Client):
         super().__init__(settings)
         self.sample = self.reading = Reading()
 
-    def bias(self) -> None:
-        """Tare the sensor at its present load. Raises DeviceError if the protocol cannot."""
-        raise DeviceError(
-            f"{self.where}: this protocol cannot tare the sensor; tare in the loop instead"
-        )
-
 
 class PlatformClient(Client):
     """The loop's side of a motion platform; ``state`` is the newest pose that it reports.
@@ -257,8 +251,8 @@ class SensorServer(Link):
     """The device's side of a force sensor."""
 
     @abstractmethod
-    def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
-        """Send the wrench (6,) of this instant with the device's time [s] and status (0: good)."""
+    def publish(self, wrench: Array, device_time: float) -> None:
+        """Send the wrench (6,) of this instant with the device's time [s]."""
 
 
 class PlatformServer(Link):
@@ -290,8 +284,8 @@ class PlatformServer(Link):
         return taken
 
     @abstractmethod
-    def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
-        """Begin a cycle: send the pose (7,) reached now, the device's time [s] and its status."""
+    def publish(self, pose: Array, device_time: float) -> None:
+        """Begin a cycle: send the pose (7,) reached now and the device's time [s]."""
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,8 @@ def _faults(layout: Layout, record: RecordKind) -> Iterator[tuple[tuple, str]]:
                 f"does not fit (got {name!r} of type {kind!r}); a crc is the last field, of crc16 "
                 f"or crc32",
             )
-        if const != (field.value is not None) or (const and not _fits(field)):
+        low, high = _range(kind) if kind in get_args(Whole) else (0, -1)
+        if const != (field.value is not None) or (const and not low <= (field.value or 0) <= high):
             yield (
                 (i,),
                 "a const field needs a whole number as value that fits its type, and no other "
@@ -124,12 +125,6 @@ def _faults(layout: Layout, record: RecordKind) -> Iterator[tuple[tuple, str]]:
     if fields and not any(set(group) <= set(names) for group in needed):
         groups = " or ".join(" ".join(group) for group in needed)
         yield (), f"is incomplete (got {', '.join(names)}); needed: {groups}"
-
-
-def _fits(field: FieldOfRecord) -> bool:
-    """Whether the value of a const field can be sent as a whole number of its type."""
-    low, high = _range(field.type) if field.type in get_args(Whole) else (0, -1)
-    return field.value is not None and low <= field.value <= high
 
 
 def _range(kind: str) -> tuple[int, int]:

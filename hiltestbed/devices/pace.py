@@ -137,7 +137,9 @@ class DevicePace(Pace):
     def wait(self) -> int:
         self._count += 1
         deadline = self._due + (1.0 + SLACK) * self._tick
-        while self._wait(deadline):
+        while self._link.wait(
+            max(deadline - (now := time.monotonic()), 0.0), max(self._due + self._tick - now, 0.0)
+        ):
             index = (self._link.sample.sequence - self._first) // self._numbers
             if index >= self._count:
                 ticks, self._count = index - self._count + 1, index
@@ -161,10 +163,6 @@ class DevicePace(Pace):
             f"{factor / self._tick:.4g} (--set rate=...), or give the true rate in the device's "
             f"URL (rate={records:.4g})"
         )
-
-    def _wait(self, deadline: float) -> bool:
-        now = time.monotonic()
-        return self._link.wait(max(deadline - now, 0.0), max(self._due + self._tick - now, 0.0))
 
 
 class HostPace(Pace):

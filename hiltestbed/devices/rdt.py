@@ -42,7 +42,6 @@ HEADER = 0x1234
 STOP, SINGLE, REALTIME, BUFFERED = 0, 1, 2, 3  # 1 only on an Axia, where it equals 2
 RESET_LATCH, BIAS = 0x41, 0x42
 MOST_RECORDS = 40  # largest number of records in one datagram
-ERROR = 1 << 31  # of the status word: set with any other bit
 COUNTS = 1.0e6  # per unit, of an emulated sensor
 # requests before giving up, and the wait [s] for the first record after each
 TRIES, PATIENCE = 10, 0.1
@@ -127,10 +126,6 @@ class RdtClient(sockets.Datagrams, SensorClient):
             self._request(STOP)
         super().close()
 
-    def bias(self) -> None:
-        """Tare the device at its present load (software bias)."""
-        self._request(BIAS)
-
     def _take(self, data: bytes, sender: sockets.Address) -> bool:
         number, rest = divmod(len(data), RECORD.size)
         if rest or not 1 <= number <= (MOST_RECORDS if self.settings.mode == "buffered" else 1):
@@ -209,7 +204,7 @@ class RdtServer(sockets.Datagrams, SensorServer):
             self._pending.clear()
         return True
 
-    def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
+    def publish(self, wrench: Array, device_time: float) -> None:
         self.poll()
         self._load[:] = wrench
         if self._socket is None or self._client is None or self._left == 0:
@@ -218,8 +213,7 @@ class RdtServer(sockets.Datagrams, SensorServer):
         sample = round(device_time * self._rate) & 0xFFFFFFFF
         counts = np.rint((self._load - self._bias) * self._scale)
         counts = np.clip(counts, -(2**31), 2**31 - 1).astype(int).tolist()
-        word = status | ERROR if status else 0
-        self._pending += RECORD.pack(self._number, sample, word, *counts)
+        self._pending += RECORD.pack(self._number, sample, 0, *counts)
         self._left -= self._left > 0
         if self._left == 0 or len(self._pending) >= self._per_datagram * RECORD.size:
             self._send_to(self._pending, self._client)

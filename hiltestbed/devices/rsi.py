@@ -198,21 +198,18 @@ class RsiClient(sockets.Datagrams, PlatformClient):
         self._sequence.restart()
         if not self.wait(settings.connect):
             self.close()
-            raise DeviceError(f"{self.where}: {self._odd or self._silence()}")
+            others = int(self.counts[Event.SENDER])
+            seen = f" ({others} datagrams of other senders than robot={self._only})" * (others > 0)
+            silent = (
+                f"no telegram of a robot in {settings.connect:g} s{seen}; check IP_NUMBER and PORT "
+                f"in the controller's configuration file, and that its program has begun the "
+                f"correction"
+            )
+            raise DeviceError(f"{self.where}: {self._odd or silent}")
         self.start[:] = self._from[:] = self.state.pose
         self._correction[:] = 0.0
         self.counts[:] = 0  # telegrams queued before the connection was open do not count
         self.hold()
-
-    def _silence(self) -> str:
-        """Why there was no telegram of a robot."""
-        others = int(self.counts[Event.SENDER])
-        seen = f" ({others} datagrams of other senders than robot={self._only})" * (others > 0)
-        return (
-            f"no telegram of a robot in {self.settings.connect:g} s{seen}; check IP_NUMBER and "
-            f"PORT in the controller's configuration file, and that its program has begun the "
-            f"correction"
-        )
 
     def _take(self, data: bytes, sender: sockets.Address) -> bool:
         if self._only not in (None, sender[0]) or self._robot not in (None, sender):
@@ -303,9 +300,10 @@ class RsiServer(sockets.Datagrams, PlatformServer):
 
     def open(self) -> None:
         self._towards = sockets.resolve(self.settings.host, self.settings.port, self.where)
-        self._socket = sockets.sending_udp(self._towards, self.where)
+        with sockets.connected_udp(self._towards, self.where) as probe:  # tells the interface
+            self._socket = sockets.bound((probe.getsockname()[0], 0), self.where)
 
-    def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
+    def publish(self, pose: Array, device_time: float) -> None:
         if self._socket is None or self.stopped is not None:
             return
         self.poll()
@@ -314,9 +312,6 @@ class RsiServer(sockets.Datagrams, PlatformServer):
         elif not self._answered and self.commanded:
             self._missed()
         self._start(pose)
-        if status:
-            self.stopped = f"the controller reports {status:#x}"
-            return
         self._ipoc += self.settings.period_ms
         self._answered = False
         reached, wanted = (

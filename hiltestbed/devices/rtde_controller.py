@@ -103,10 +103,9 @@ class _Controller(Link):
                 return False
         return True
 
-    def _send(self, device_time: float, status: int) -> None:
+    def _send(self, device_time: float) -> None:
         """Send the fields to each client that has started, at the rate that it requested."""
         self.fields["timestamp"] = [device_time]
-        self.fields["safety_status_bits"] = [status or RUNNING["safety_status_bits"]]
         self.poll()
         for client in self._clients[:]:
             early = device_time < client.due - 0.25 / client.frequency
@@ -207,9 +206,9 @@ def _names(payload: bytes) -> list[str]:
 class RtdeSensorServer(_Controller, SensorServer):
     """An emulated controller that reports a force."""
 
-    def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
+    def publish(self, wrench: Array, device_time: float) -> None:
         self.fields["actual_TCP_force"] = self.fields["ft_raw_wrench"] = wrench.tolist()
-        self._send(device_time, status)
+        self._send(device_time)
 
 
 class RtdePlatformServer(_Controller, PlatformServer):
@@ -226,8 +225,8 @@ class RtdePlatformServer(_Controller, PlatformServer):
             return False
         return self._obey(poses.pose_from_rotation_vector(np.array(frame)))
 
-    def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
+    def publish(self, pose: Array, device_time: float) -> None:
         self._start(pose)
         for name, value in (("actual_TCP_pose", pose), ("target_TCP_pose", self.command)):
             self.fields[name] = poses.rotation_vector_from_pose(value).tolist()
-        self._send(device_time, status)
+        self._send(device_time)

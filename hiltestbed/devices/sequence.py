@@ -144,7 +144,7 @@ class NumberedServer(PlatformServer):
     _number = 0
 
     @abstractmethod
-    def _report(self, pose: Array, number: int, device_time: float, status: int) -> None:
+    def _report(self, pose: Array, number: int, device_time: float) -> None:
         """Send the pose reached."""
 
     def _commanded(self, pose: Array, stop: int) -> bool:
@@ -153,8 +153,8 @@ class NumberedServer(PlatformServer):
             self.stopped = "the client asked for a stop"
         return self.stopped is None and self._obey(pose)
 
-    def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
+    def publish(self, pose: Array, device_time: float) -> None:
         self._start(pose)
         self._number += 1
         self.poll()
-        self._report(pose, self._number, device_time, status)
+        self._report(pose, self._number, device_time)

@@ -242,7 +242,8 @@ class Session:
     def _run(self) -> None:
         if not self._approach():
             return
-        self.rig.tick_zero()
+        self.rig.log.k, self.rig.log.rows[:] = 0, 0.0
+        self.rig.missed, self.rig.late_work = 0, 0.0
         began = time.perf_counter()
         try:
             while self.loop.k < self.scenario.ticks and self.loop.alive[0]:
@@ -266,9 +267,7 @@ class Session:
         return self.follow(travel(self.rig.last.copy(), goal, self.rig.tick, speed, rate))
 
     def _end(self) -> None:
-        """Bring the platform to rest: smoothly after a complete run, otherwise as the scenario
-        specifies.
-        """
+        """Bring the platform to rest: smoothly after a whole run, else as the scenario says."""
         rig, duration = self.rig, self.scenario.devices.platform.run_up
         try:
             if rig.stop is not None or self.loop.trouble:

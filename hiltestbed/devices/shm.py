@@ -180,7 +180,7 @@ class _Mailboxes(Link):
     def _made(self, part: Part) -> Mailbox:
         return make(f"{self.settings.host}.{part}", self.where)
 
-    def _write(self, values: Array, number: int, device_time: float, flag: int) -> None:
+    def _write(self, values: Array, number: int, device_time: float, flag: int = 0) -> None:
         if self._outbox is not None:
             self._outbox.write(values, number, device_time, flag)
 
@@ -242,9 +242,9 @@ class ShmSensorServer(_Mailboxes, SensorServer):
     def open(self) -> None:
         self._outbox = self._made("wrench")
 
-    def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
+    def publish(self, wrench: Array, device_time: float) -> None:
         self._number += 1
-        self._write(wrench, self._number, device_time, status)
+        self._write(wrench, self._number, device_time)
 
 
 class ShmPlatformServer(_Mailboxes, NumberedServer):
@@ -261,8 +261,8 @@ class ShmPlatformServer(_Mailboxes, NumberedServer):
     def _accept(self, box: Mailbox) -> bool:
         return self._commanded(box.values, box.flag)
 
-    def _report(self, pose: Array, number: int, device_time: float, status: int) -> None:
-        self._write(pose, number, device_time, status)
+    def _report(self, pose: Array, number: int, device_time: float) -> None:
+        self._write(pose, number, device_time)
 
 
 PROTOCOL = Protocol(

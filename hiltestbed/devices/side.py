@@ -271,11 +271,6 @@ class DeviceRig:
         self.time.start()
         self.armed = True
 
-    def tick_zero(self) -> None:
-        """Mark the coming tick as the first of the run."""
-        self.log.k, self.log.rows[:] = 0, 0.0
-        self.missed, self.late_work = 0, 0.0
-
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """Send the pose ``(1, 7)`` for the end of the tick; the platform derives its velocity from
         it.

@@ -111,12 +111,6 @@ def connected_udp(address: Address, where: str) -> socket.socket:
     return opened
 
 
-def sending_udp(towards: Address, where: str) -> socket.socket:
-    """A non-blocking UDP socket at a free port of the interface that leads to ``towards``."""
-    with connected_udp(towards, where) as probe:
-        return bound((probe.getsockname()[0], 0), where)
-
-
 def connected_tcp(address: Address, where: str, timeout: float) -> socket.socket:
     """A TCP connection with TCP_NODELAY and a ``timeout`` [s]. Raises DeviceError."""
     try:

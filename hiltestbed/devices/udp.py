@@ -58,20 +58,18 @@ class UdpSettings(PacedSettings):
         """The address of the device. Raises InputError."""
         return sockets.resolve(self.host, self.port, self.where)
 
-    def end(self, key: Literal["listen", "peer"], what: str) -> sockets.Address:
+    def end(self, key: Literal["listen", "peer"]) -> sockets.Address:
         """The address in ``listen`` or ``peer``. Raises InputError."""
         given = getattr(self, key)
         if given is None:
+            here = "the end of this machine where the device's records arrive"
+            what = here if key == "listen" else "the controller's end"
             raise refused(self.where, f"is missing; give {what} as {key}=address:port", key)
         host, _, port = str(given).rpartition(":")
         if not port.isdecimal() or not 0 <= int(port) <= 65535:
             message = f"is not address:port (got {given!r}); allowed are ports 0 to 65535"
             raise refused(self.where, message, key)
         return sockets.resolve(host or LOOPBACK, int(port), self.where)
-
-    def controller(self) -> sockets.Address:
-        """The address that an emulated device sends to. Raises InputError."""
-        return self.end("peer", "the controller's end")
 
 
 class _Receiver(sockets.Datagrams):
@@ -118,8 +116,7 @@ class _Receiver(sockets.Datagrams):
 class _UdpClient(_Receiver, Client):
     def open(self) -> None:
         settings, counts = self.settings, self.counts
-        own = settings.end("listen", "the end of this machine where the device's records arrive")
-        self._listen(own, settings.device())
+        self._listen(settings.end("listen"), settings.device())
         if not self.wait(settings.connect):
             self.close()
             raise DeviceError(
@@ -168,7 +165,10 @@ class UdpSensorServer(sockets.Datagrams, SensorServer):
 
     def __init__(self, settings: UdpSettings) -> None:
         super().__init__(settings)
-        self._record, self._peer = settings.record("sensor"), settings.controller()
+        self._record, self._peer = (
+            settings.record("sensor"),
+            settings.end("peer"),
+        )
         self._number = 0
 
     def open(self) -> None:
@@ -178,9 +178,9 @@ class UdpSensorServer(sockets.Datagrams, SensorServer):
         """A sensor receives nothing."""
         return False
 
-    def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
+    def publish(self, wrench: Array, device_time: float) -> None:
         self._number += 1
-        self._send_to(self._record.pack(wrench, self._number, device_time, status), self._peer)
+        self._send_to(self._record.pack(wrench, self._number, device_time), self._peer)
 
 
 class UdpPlatformServer(_Receiver, NumberedServer):
@@ -190,7 +190,10 @@ class UdpPlatformServer(_Receiver, NumberedServer):
 
     def __init__(self, settings: UdpSettings) -> None:
         super().__init__(settings)
-        self._state, self._peer = settings.record("state"), settings.controller()
+        self._state, self._peer = (
+            settings.record("state"),
+            settings.end("peer"),
+        )
 
     def open(self) -> None:
         self._listen(self.settings.device(), self._peer)
@@ -198,8 +201,8 @@ class UdpPlatformServer(_Receiver, NumberedServer):
     def _accept(self) -> bool:
         return self._commanded(self._record.values, self._record.flag)
 
-    def _report(self, pose: Array, number: int, device_time: float, status: int) -> None:
-        self._send_to(self._state.pack(pose, number, device_time, status), self._peer)
+    def _report(self, pose: Array, number: int, device_time: float) -> None:
+        self._send_to(self._state.pack(pose, number, device_time), self._peer)
 
 
 PROTOCOL = Protocol(

@@ -48,28 +48,19 @@ class Examined:
 def examine() -> list[Examined]:
     """Versions, optional packages, cores, compiled kernels, viewer and plugins."""
     found = [Examined("python", sys.version.split()[0], sys.version_info >= (3, 11))]
-    found += [_package(name) for name in ("hiltestbed", *NEEDED)]
-    found += [_extra(name, *about) for name, about in EXTRAS.items()]
+    for name in ("hiltestbed", *NEEDED):
+        try:
+            found.append(Examined(name, version(name), True))
+        except PackageNotFoundError:
+            what = "is not installed; pip install hiltestbed installs it"
+            found.append(Examined(name, what, False))
+    for name, (purpose, extra) in EXTRAS.items():
+        here = find_spec(name) is not None
+        lacks = f"not installed ({purpose}); pip install 'hiltestbed[{extra}]'"
+        found.append(Examined(name, purpose if here else lacks, here, needed=False))
     found.append(Examined("cores", str(cores()), True))
     found += [_cache(), _viewer(), _plugins()]
     return found
-
-
-def _package(name: str) -> Examined:
-    try:
-        return Examined(name, version(name), True)
-    except PackageNotFoundError:
-        return Examined(name, "is not installed; pip install hiltestbed installs it", False)
-
-
-def _extra(name: str, purpose: str, extra: str) -> Examined:
-    here = find_spec(name) is not None
-    return Examined(
-        name,
-        f"{purpose}" if here else f"not installed ({purpose}); pip install 'hiltestbed[{extra}]'",
-        here,
-        needed=False,
-    )
 
 
 def _cache() -> Examined:

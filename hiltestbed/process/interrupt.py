@@ -90,11 +90,8 @@ def _deferring(frame: FrameType | None) -> bool:
 
 
 def _over() -> None:
-    """Let the program end with its own exit status: otherwise Python may end it by the signal
-    SIGINT, or another one may.
-
-    Python does so after a Ctrl-C at exit (ignored from here on), and if a KeyboardInterrupt has
-    left an ``exec``, even if it was caught afterwards; another ``exec`` clears that flag.
+    """Let the program end with its own exit status: after a Ctrl-C at exit, or one that left an
+    ``exec``, even if it was caught, Python would end it by SIGINT; another ``exec`` clears that.
     """
     for number in _ending():
         signal.signal(number, signal.SIG_IGN)

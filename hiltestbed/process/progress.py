@@ -14,7 +14,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 
 from hiltestbed.errors import printable
 from hiltestbed.process import interrupt
@@ -25,6 +25,7 @@ LOG_INTERVAL = 10.0  # [s]
 REMEMBERED = 32  # updates that determine the pace
 FEWEST_INTERVALS = 3  # intervals, at least, for an estimate
 LARGEST_SPREAD = 0.5  # largest 95 % interval of the pace, relative to it, for an estimate
+Update = Callable[[float, float], None]
 
 
 class UnitTime:
@@ -83,20 +84,14 @@ def time_left_text(seconds: float | None, of: str = "") -> str:
     return f", {time_left} left{f' {of}' if of else ''}"
 
 
-@contextmanager
-def progress_bar(name: str, duration: float) -> Iterator[Callable[[int, int], None]]:
+def progress_bar(name: str, duration: float) -> AbstractContextManager[Update]:
     """A callback (ticks done, total ticks) for a run of `duration` [s] of simulated time."""
-    with _bar_or_lines(
-        name, lambda part: f"{part * duration:.2f} of {duration:g} s simulated"
-    ) as update:
-        yield update
+    return _bar_or_lines(name, lambda part: f"{part * duration:.2f} of {duration:g} s simulated")
 
 
-@contextmanager
-def count_bar(name: str) -> Iterator[Callable[[float, float], None]]:
+def count_bar(name: str) -> AbstractContextManager[Update]:
     """A callback (work done, total work), in any unit of equal effort."""
-    with _bar_or_lines(name, lambda part: f"{100.0 * part:.0f} % done") as update:
-        yield update
+    return _bar_or_lines(name, lambda part: f"{100.0 * part:.0f} % done")
 
 
 class _Line:
@@ -162,9 +157,7 @@ def step_line(name: str) -> Iterator[Callable[[str], None]]:
 
 
 @contextmanager
-def _bar_or_lines(
-    name: str, describe: Callable[[float], str]
-) -> Iterator[Callable[[float, float], None]]:
+def _bar_or_lines(name: str, describe: Callable[[float], str]) -> Iterator[Update]:
     line, bar, pace = _Line(), None, UnitTime()
 
     def update(done: float, total: float) -> None:

@@ -10,11 +10,14 @@ import numpy as np
 
 from hiltestbed.analysis.assessment import (
     CLOSE,
+    DELAYS,
+    ESTIMATES,
     NEUTRAL,
     assess,
+    delays_of,
     energy_share,
+    estimates_of,
     figures_of,
-    identified,
 )
 from hiltestbed.analysis.limits import in_cells
 from hiltestbed.analysis.metrics import energy_generated
@@ -24,9 +27,8 @@ from hiltestbed.contact.sides import sides_of
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.report.curves import PALETTE, POINTS, shade_contacts
+from hiltestbed.report.curves import PALETTE, POINTS, shade_contacts, span_of_contact
 from hiltestbed.report.page import Report, new_figure, provenance
-from hiltestbed.report.table import against
 from hiltestbed.run_folder.folders import number
 from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario.limits import DockingLimits
@@ -72,9 +74,7 @@ def run_report(run: Run) -> Report:
 
 
 def _margin(contact: Pair, summary: dict[str, Any]) -> str:
-    """The energy balance of a ``contact`` in words, and the further delay up to which the loop is
-    stable.
-    """
+    """The energy balance of a ``contact`` in words, and the delay that the loop bears."""
     share = energy_share(summary)
     if not summary["contact_duration"]:
         return "Nothing touched, so the question does not arise."
@@ -120,10 +120,6 @@ def _margin(contact: Pair, summary: dict[str, Any]) -> str:
 def _ledger(report: Report, summary: dict[str, Any]) -> None:
     if not summary["delay_ledger"]:
         return
-    rows = [
-        (e["source"], f"{1e3 * e['delay']:+.4f}", f"{e['equivalent_damping']:+.2f}")
-        for e in summary["delay_ledger"]
-    ]
     caption = (
         "Effect of each delay: a delay tau acts on a contact of stiffness k like a "
         "damping of -k tau."
@@ -131,7 +127,7 @@ def _ledger(report: Report, summary: dict[str, Any]) -> None:
     predicted = summary.get("cor_log_error_predicted")
     if predicted is not None:
         caption += f" Their sum predicts {predicted:+.4f} for the ln of the ratio."
-    report.table(("source", "delay [ms]", "as damping [N s/m]"), rows, caption)
+    report.table(DELAYS, delays_of(summary), caption)
 
 
 def _limits(report: Report, limits: DockingLimits | None, summary: dict[str, Any]) -> None:
@@ -146,15 +142,11 @@ def _limits(report: Report, limits: DockingLimits | None, summary: dict[str, Any
 
 
 def _identified(report: Report, run: Run) -> None:
-    rows, found = [], identified(run.summary)
-    for axis, values in found.items():
-        cells = [axis, *against(values, "stiffness"), *against(values, "damping")]
-        rows.append([*cells, values["samples"]])
+    rows = estimates_of(run.summary)
     report.heading("What was identified")
     if rows:
-        header = ("axis", "k ± sd", "true", "error", "c ± sd", "true", "error", "samples")
         caption = "k in N/m (rx, ry, rz: N m/rad), c in N s/m (N m s/rad)."
-        report.table(header, rows, caption + NORMAL * ("normal" in found))
+        report.table(ESTIMATES, rows, caption + NORMAL * (rows[-1][0] == "normal"))
     else:
         report.text(f"Neither stiffness nor damping was identified: {_why_not(run)}.")
 
@@ -215,26 +207,13 @@ def _signals(trace: RunTrace):
 
 def _shown(trace: RunTrace) -> np.ndarray:
     """The rows of the displayed span, at most as many as can be distinguished."""
-    start, end = _span(trace)
+    start, end = span_of_contact(trace.t, trace.contact)
     rows = np.flatnonzero((trace.t >= start) & (trace.t <= end))
     return rows[:: max(1, len(rows) // POINTS)]
 
 
-def _span(trace: RunTrace) -> tuple[float, float]:
-    """From shortly before the first contact to after the last; all if that is most of the run."""
-    start, end = float(trace.t[0]), float(trace.t[-1])
-    if trace.contact.any():
-        first = float(trace.t[np.argmax(trace.contact)])
-        last = float(trace.t[len(trace.t) - 1 - np.argmax(trace.contact[::-1])])
-        margin = max(0.25 * (last - first), 0.02)
-        return max(start, first - margin), min(end, last + margin)
-    return start, end
-
-
 def _energy(trace: RunTrace, made: Array, approach: float | None):
-    """Energy that the rig had ``made`` (ticks,) [J]: work on the contact minus work of the
-    numerical model; ``approach``: the energy of the approach [J].
-    """
+    """Energy that the rig had ``made`` (ticks,) [J]; ``approach``: of the approach [J]."""
     rows = _shown(trace)
     figure, axis = new_figure(9.0, 2.6)
     shade_contacts(axis, trace.t, trace.contact)

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
-from hiltestbed.analysis.assessment import assess, figures_of, identified
+from hiltestbed.analysis.assessment import (
+    DELAYS,
+    ESTIMATES,
+    assess,
+    delays_of,
+    estimates_of,
+    figures_of,
+)
 from hiltestbed.process.output import console
 from hiltestbed.run_folder.folders import number
 
@@ -23,14 +31,24 @@ def print_run(
 ) -> None:
     """Prints a run's summary and folder; ``elapsed`` [s]: duration of the whole command."""
     screen = console()
-    screen.print(_figures(summary, elapsed))
+    timing = summary["timing"]
+    pace, factor = f"{timing['ticks']} ticks", timing["real_time_factor"]
+    pace += "" if factor is None else f", {factor:.1f} times real time"
+    rows = [*figures_of(summary), ("time in the loop", number(timing["wall"], 3, "s"), pace)]
+    if elapsed is not None:
+        note = "with start, compiling, reference and files"
+        rows.append(("total time", number(elapsed, 3, "s"), note))
+    title = f"{summary['name']}: {summary['status']}"
+    screen.print(_table(title, ("", "", ""), rows, ("left", "right", "left")))
     for warning in assess(summary).warnings:
         screen.print(f"[bold red]warning:[/bold red] {escape(warning)}")
     if summary["delay_ledger"]:
-        screen.print(_ledger(summary["delay_ledger"]))
-    found = _identified(identified(summary))
-    if found.row_count:
-        screen.print(found)
+        screen.print(_table("delays in the loop", DELAYS, delays_of(summary)))
+    if found := estimates_of(summary):
+        title = "identified against true; k in N/m (rx, ry, rz: N m/rad), c in N s/m (N m s/rad)"
+        justify = ("left", *("right",) * 6)
+        rows = [row[:-1] for row in found]
+        screen.print(_table(title, ESTIMATES[:-1], rows, justify, no_wrap=True))
     look = (
         f"hiltestbed view {folder}"
         if recording
@@ -45,10 +63,7 @@ def print_run(
 
 def print_lines(title: str, lines: list[tuple[str, str]], folder: Path | None) -> None:
     """Prints figures, and the path of their report if there is one, to standard output."""
-    table = _table(title, "", ">")
-    for label, value in lines:
-        table.add_row(label, value)
-    console().print(table)
+    console().print(_table(title, ("", ""), lines, ("left", "right")))
     _print_path("report", folder)
 
 
@@ -56,13 +71,7 @@ def print_table(
     title: str, header: Sequence[str], rows: Sequence[Sequence[str]], folder: Path | None
 ) -> None:
     """Prints rows of cells below a header, and the path of their report if there is one."""
-    table = _table(title)
-    for name, cells in zip(header, zip(*rows, strict=True), strict=True):
-        words = any(cell[:1].isalpha() for cell in cells)
-        table.add_column(escape(name), justify="left" if words else "right", overflow="fold")
-    for row in rows:
-        table.add_row(*map(escape, row))
-    console().print(table)
+    console().print(_table(title, header, rows, overflow="fold"))
     _print_path("report", folder)
 
 
@@ -80,11 +89,9 @@ def print_comparison(
     screen = console()
     widths = _whole_words(list(zip(("", *names), *rows, strict=True)), screen.width)
     if widths:
-        table = _table("runs side by side")
-        for name, width in zip(("", *names), widths, strict=True):
-            table.add_column(escape(name), justify="right" if name else "left", width=width)
-        for row in rows:
-            table.add_row(*map(escape, row))
+        table = _table("runs side by side", ("", *names), rows, ("left", *["right"] * len(names)))
+        for column, width in zip(table.columns, widths, strict=True):
+            column.width = width
         screen.print(table)
     else:
         screen.print("[bold]runs side by side[/bold]")
@@ -96,16 +103,10 @@ def print_comparison(
 
 def print_doctor(findings: Sequence[Examined]) -> None:
     """Prints the findings on an installation to standard output."""
-    table = _table("this installation", "", "", "")
-    for column in table.columns:
-        column.overflow = "fold"
-    for found in findings:
-        table.add_row(
-            "[green]ok[/green]" if found.good else "[red]no[/red]" if found.needed else "-",
-            escape(found.what),
-            escape(found.state),
-        )
-    console().print(table)
+    bad = {True: Text("no", "red"), False: Text("-")}
+    rows = [(Text("ok", "green") if f.good else bad[f.needed], f.what, f.state) for f in findings]
+    header, justify = ("", "", ""), ("left", "left", "left")
+    console().print(_table("this installation", header, rows, justify, overflow="fold"))
 
 
 def print_sweep(about: dict[str, Any], folder: Path) -> None:
@@ -169,61 +170,28 @@ def _whole_words(columns: Sequence[Sequence[str]], room: int) -> list[int] | Non
     return widths
 
 
-def _figures(summary: dict[str, Any], elapsed: float | None) -> Table:
-    table = _table(f"{summary['name']}: {summary['status']}", "", ">", "")
-    for row in figures_of(summary):
-        table.add_row(*map(escape, row))
-    timing = summary["timing"]
-    pace, factor = f"{timing['ticks']} ticks", timing["real_time_factor"]
-    if factor is not None:
-        pace += f", {factor:.1f} times real time"
-    table.add_row("time in the loop", number(timing["wall"], 3, "s"), pace)
-    if elapsed is not None:
-        note = "with start, compiling, reference and files"
-        table.add_row("total time", number(elapsed, 3, "s"), note)
-    return table
-
-
-def _ledger(entries: list[dict[str, Any]]) -> Table:
-    table = _table("delays in the loop", "source", ">delay [ms]", ">as damping [N s/m]")
-    for entry in entries:
-        table.add_row(
-            entry["source"], f"{1e3 * entry['delay']:+.4f}", f"{entry['equivalent_damping']:+.2f}"
-        )
-    return table
-
-
-def _identified(axes: dict[str, dict[str, Any]]) -> Table:
-    table = _table(
-        "identified against true; k in N/m (rx, ry, rz: N m/rad), c in N s/m (N m s/rad)"
-    )
-    table.add_column("axis")
-    for heading in ("k ± sd", "true", "error", "c ± sd", "true", "error"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for axis, values in axes.items():
-        table.add_row(axis, *against(values, "stiffness"), *against(values, "damping"))
-    return table
-
-
-def _table(title: str, *columns: str) -> Table:
-    """An empty table; columns of numbers begin with ``>``. Without names there is no header."""
+def _table(
+    title: str,
+    header: Sequence[str],
+    rows: Sequence[Sequence[str | Text]],
+    justify: Sequence[Any] = (),
+    **column: Any,
+) -> Table:
+    """A table; without names there is no header. ``justify`` left out: words left, numbers right;
+    ``column``: options of every column.
+    """
     table = Table(
         title=escape(title),
         title_justify="left",
         title_style="bold",
         box=box.SIMPLE_HEAD,
-        show_header=any(column.lstrip(">") for column in columns) or not columns,
+        show_header=any(header),
         pad_edge=False,
     )
-    for column in columns:
-        justify = "right" if column.startswith(">") else "left"
-        table.add_column(escape(column.removeprefix(">")), justify=justify)
+    for i, name in enumerate(header):
+        words = any(str(row[i])[:1].isalpha() for row in rows)
+        side = justify[i] if justify else "left" if words else "right"
+        table.add_column(escape(name), justify=side, **column)
+    for row in rows:
+        table.add_row(*(escape(cell) if isinstance(cell, str) else cell for cell in row))
     return table
-
-
-def against(values: Mapping[str, Any], quantity: str) -> tuple[str, str, str]:
-    """An identified quantity with its sd, the true value, and the error in per cent, as cells."""
-    value, true, sd = (values.get(quantity + part) for part in ("", "_true", "_sd"))
-    error = "" if value is None or not true else f"{100.0 * (value / true - 1.0):+z.2f} %"
-    sure = "" if value is None or sd is None else f" ± {sd:.0f}" if sd >= 10.0 else f" ± {sd:.2g}"
-    return number(value, 6) + sure, number(true, 6), error

@@ -25,7 +25,7 @@ from hiltestbed.run_folder.folders import parquet_table
 from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario import Scenario, load_scenario, put, resolved
 from hiltestbed.signals import RunTrace, about_column, groups
-from hiltestbed.supervision.snapshot import Snapshot, flatten, unflatten
+from hiltestbed.supervision.snapshot import flatten, unflatten
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -147,9 +147,10 @@ def write_run(run: Run, path: str | Path, *, rerun: bool = True, report: bool = 
     """
     path = Path(path)
     with whole_folder(path) as folder:
-        (folder / SCENARIO).write_text(
-            dump_yaml(_with_models(run.scenario, folder)), encoding="utf-8"
-        )
+        data = resolved(run.scenario)  # the user's models are copied, and their keys name copies
+        for key, (file, kind) in user_files(run.scenario).items():
+            put(data, key, keep_file(file, kind, folder, dotted(key)))
+        (folder / SCENARIO).write_text(dump_yaml(data), encoding="utf-8")
         (folder / SUMMARY).write_text(
             json.dumps(run.summary, indent=2, allow_nan=False) + "\n", encoding="utf-8"
         )
@@ -166,14 +167,6 @@ def write_run(run: Run, path: str | Path, *, rerun: bool = True, report: bool = 
         if run.failure is not None:
             np.savez(folder / FAILURE, **flatten(run.failure))  # type: ignore[arg-type]
     return path
-
-
-def _with_models(scenario: Scenario, folder: Path) -> dict[str, Any]:
-    """The resolved scenario; the user's models are copied to ``folder``, their keys name copies."""
-    data = resolved(scenario)
-    for path, (file, kind) in user_files(scenario).items():
-        put(data, path, keep_file(file, kind, folder, dotted(path)))
-    return data
 
 
 def keep_file(file: Path, kind: UserFile, folder: Path, name: str) -> str:
@@ -203,7 +196,11 @@ def read_run(path: str | Path) -> Run:
         )
     summary: dict[str, Any] = json.loads((path / SUMMARY).read_text(encoding="utf-8"))
     trace = read_trace(path / TRACE) if (path / TRACE).is_file() else None
-    return Run(_scenario_of(path, summary), summary, trace, _read_failure(path / FAILURE))
+    failure = None
+    if (path / FAILURE).is_file():
+        with np.load(path / FAILURE) as arrays:
+            failure = unflatten(dict(arrays))
+    return Run(_scenario_of(path, summary), summary, trace, failure)
 
 
 def _scenario_of(path: Path, summary: dict[str, Any]) -> Scenario:
@@ -220,13 +217,6 @@ def _scenario_of(path: Path, summary: dict[str, Any]) -> Scenario:
             f"path), from Python hiltestbed.load_plugins"
         )
         raise InputError([*error.faults, Fault(str(path), None, None, "", hint)]) from None
-
-
-def _read_failure(path: Path) -> Snapshot | None:
-    if not path.is_file():
-        return None
-    with np.load(path) as arrays:
-        return unflatten(dict(arrays))
 
 
 def write_trace(trace: RunTrace, path: Path) -> None:

@@ -34,15 +34,10 @@ def differences(expected: Mapping[str, str]) -> str:
     """What differs here from an ``expected`` :func:`provenance`, in words; empty if nothing."""
     own = provenance()
     return ", ".join(
-        f"{name} {_short(own.get(name, 'none'))} (expected {_short(value)})"
+        f"{name} {own.get(name, 'none')[:12]} (expected {value[:12]})"  # the beginning of a hash
         for name, value in expected.items()
         if own.get(name) != value
     )
-
-
-def _short(value: str) -> str:
-    """A version, or the beginning of a hash."""
-    return value[:12]
 
 
 @functools.cache

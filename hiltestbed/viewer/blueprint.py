@@ -14,6 +14,7 @@ from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.settings import Rig
+from hiltestbed.report.curves import span_of_contact
 from hiltestbed.run_folder.result import Run
 from hiltestbed.signals import AXES, RunTrace
 from hiltestbed.viewer import plots, rig, spacecraft
@@ -26,7 +27,6 @@ NINE_AXES: tuple[Point, Point] = (5.0, -2.8, 1.7), (0.0, 0.0, 0.75)
 CLOSE: tuple[Point, Point] = (0.42, -0.76, -0.2), (0.0, 0.0, 0.01)
 BACKGROUND = (22, 26, 33)
 BEFORE, AFTER = 0.15, 0.35  # [s] shown around the first contact, at least
-LEAST = 0.02  # [s] that the plots show before and after a contact, at least
 MARGIN = 0.06  # of the span, above and below
 # largest spans, in ticks of one power of ten, for which a contact plot labels them; beyond, the
 # next power
@@ -42,32 +42,22 @@ class ShownRun:
     trace: RunTrace
     force_scale: float
 
-    def _touches(self) -> tuple[float, float] | None:
-        """[s] first and last instant in contact."""
-        touching = self.trace.t[self.trace.contact]
-        return (float(touching[0]), float(touching[-1])) if len(touching) else None
-
     @property
     def window(self) -> tuple[float, float]:
         """[s] around the contacts; the whole run if the ports do not touch."""
         start, end = float(self.trace.t[0]), float(self.trace.t[-1])
-        if (touches := self._touches()) is None:
+        touching = self.trace.t[self.trace.contact]
+        if not len(touching):
             return start, end
-        first, last = touches
+        first, last = float(touching[0]), float(touching[-1])
         span = last - first
         return max(first - max(BEFORE, 0.5 * span), 0.0), min(last + max(AFTER, span), end)
 
     @property
     def shown(self) -> tuple[float, float]:
-        """[s] that the plots show: the contacts and a quarter of their duration on each side; the
-        whole run if the ports do not touch.
-        """
-        start, end = float(self.trace.t[0]), float(self.trace.t[-1])
-        if (touches := self._touches()) is None:
-            return start, end
-        first, last = touches
-        margin = max(0.25 * (last - first), LEAST)
-        return readable(max(first - margin, 0.0), min(last + margin, end), ACROSS)
+        """[s] that the plots show."""
+        span = span_of_contact(self.trace.t, self.trace.contact)
+        return readable(*span, ACROSS) if self.trace.contact.any() else span
 
 
 def layout(facts: ShownRun) -> rrb.Blueprint:
@@ -182,13 +172,14 @@ def _contact(facts: ShownRun) -> rrb.Vertical:
         _plot(facts, "force/z", "Contact force, z [N]", _range(facts, _forces(trace, 2))),
         _plot(facts, "force_error", "Measured minus physical force [N]", _range(facts, less)),
     )
+    phases = rrb.StateTimelineView(
+        name="Contact phase", origin=plots.PHASE, time_view=_time_axis(facts)
+    )
     right = rrb.Vertical(
         *beside,
         _plot(facts, "energy_generated", "Energy made by the rig [J]", _range(facts, energy)),
     )
-    return rrb.Vertical(
-        rrb.Horizontal(left, right), _phases(facts), row_shares=[8.0, 1.0], name="Contact"
-    )
+    return rrb.Vertical(rrb.Horizontal(left, right), phases, row_shares=[8.0, 1.0], name="Contact")
 
 
 def _forces(trace: RunTrace, axis: int) -> Array:
@@ -241,12 +232,6 @@ def _plot(
         axis_x=_time_axis(facts),
         axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
         plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
-    )
-
-
-def _phases(facts: ShownRun) -> rrb.StateTimelineView:
-    return rrb.StateTimelineView(
-        name="Contact phase", origin=plots.PHASE, time_view=_time_axis(facts)
     )
 
 

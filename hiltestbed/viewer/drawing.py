@@ -16,8 +16,6 @@ from hiltestbed.viewer import colors
 from hiltestbed.viewer.solids import Solid
 
 ARROW_LENGTH = 0.6  # [m] of the largest force, at most
-# [m] the force is drawn on its line of action if that passes A within this distance
-LINE_OF_ACTION = 0.6
 ARROW_RADIUS = 0.02  # [m]
 GLASS = 0.3  # opacity of a body: the force on it is drawn inside it
 LABEL_GAP = 0.03  # [m] from the tip of an arrow to its label
@@ -84,7 +82,7 @@ def force_scale(peak: float, length: float = ARROW_LENGTH) -> float:
 
 def force_origin(wrench: Array, pose: Array) -> Array:
     """``(frames, 3)`` point of action of ``wrench`` (frames, 6): the point of its line of action
-    nearest to A, or A if that is far away.
+    nearest to A, or A if that is further away than the longest arrow.
 
     The line of action of a force f with the torque t about the origin passes through f x t/f^2; a
     pure couple shifts it off the contact.
@@ -93,7 +91,7 @@ def force_origin(wrench: Array, pose: Array) -> Array:
     square = np.maximum(np.einsum("ij,ij->i", force, force), 1e-12)[:, None]
     line = np.cross(force, torque) / square
     point = line + force * np.einsum("ij,ij->i", a - line, force)[:, None] / square
-    near = np.linalg.norm(point - a, axis=1) < LINE_OF_ACTION
+    near = np.linalg.norm(point - a, axis=1) < ARROW_LENGTH
     return np.where(near[:, None], point, a)
 
 

@@ -133,9 +133,7 @@ def _frames(
 
 
 def _view() -> Array:
-    """(3, 3) rows: right and up in the picture, and towards the eye, in W. The insertion, W's z
-    axis, points to the right.
-    """
+    """(3, 3) rows: right (W's z axis, the insertion), up, and towards the eye, in W."""
     right = np.array([0.0, 0.0, 1.0])
     eye = np.array([np.cos(AZIMUTH), np.sin(AZIMUTH), 0.0])
     up = np.cross(eye, right)

@@ -9,9 +9,15 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from hiltestbed.analysis.assessment import assess, figures_of
+from hiltestbed.analysis.assessment import (
+    DELAYS,
+    ESTIMATES,
+    assess,
+    delays_of,
+    estimates_of,
+    figures_of,
+)
 from hiltestbed.numerical_model.model import NumericalModel
-from hiltestbed.run_folder.folders import number
 from hiltestbed.run_folder.result import Run
 from hiltestbed.signals import RunTrace
 from hiltestbed.viewer import spacecraft
@@ -40,7 +46,8 @@ def write_recording(path: Path, run: Run) -> None:
     trace = run.trace
     rows = frame_rows(trace, run.scenario.rate)
     facts = ShownRun(run, trace, force_scale(_peak(trace)))
-    with recording_file(path, _identity(run), layout(facts)) as rec:
+    identity = f"{run.summary['name']}-{run.summary['scenario_sha256'][:12]}"
+    with recording_file(path, identity, layout(facts)) as rec:
         rec.send_recording_name(run.scenario.name)
         rec.log(
             "figures", rr.TextDocument(figures(run), media_type=rr.MediaType.MARKDOWN), static=True
@@ -81,11 +88,6 @@ def _felt(trace: RunTrace) -> NDArray[np.float64]:
     return trace["wrench_meas"] if np.isnan(trace["wrench_true"]).all() else trace["wrench_true"]
 
 
-def _identity(run: Run) -> str:
-    """Recording id: the same for the same run."""
-    return f"{run.summary['name']}-{run.summary['scenario_sha256'][:12]}"
-
-
 def frame_rows(trace: RunTrace, rate: float) -> NDArray[np.intp]:
     """Rows at FREE, in contact at CONTACT, first, last, the largest force; finite poses only."""
     ticks = len(trace.t)
@@ -115,27 +117,15 @@ def figures(run: Run) -> str:
     """Markdown: description of the run, its figures, and the identified values."""
     summary, scenario = run.summary, run.scenario
     lines = [f"# {summary['name']}", "", scenario.description or "", ""]
-    lines += _table("figure | value | meaning", figures_of(summary))
+    lines += _table(("figure", "value", "meaning"), figures_of(summary))
     if summary["status"] != "completed":
         lines += ["", f"**{summary['status']}**: {summary['stop_reason']}"]
     lines += ["", *(f"**Warning:** {warning}." for warning in assess(summary).warnings)]
-    delays = [
-        [e["source"], f"{1e3 * e['delay']:+.3f}", f"{e['equivalent_damping']:+.1f}"]
-        for e in summary["delay_ledger"]
-    ]
-    lines += ["", *_table("delay from | ms | as damping, N s/m", delays), ""]
-    estimates = []
-    for axis, found in summary["identification"].items():
-        if found["stiffness"] is not None:
-            units = ("N m/rad", "N m s/rad") if axis.startswith("r") else ("N/m", "N s/m")
-            pairs = zip(("stiffness", "damping"), units, strict=True)
-            values = [number(found[q + of], 4, unit) for q, unit in pairs for of in ("", "_true")]
-            estimates.append([axis, *values])
-    lines += _table("axis | stiffness | true | damping | true", estimates)
-    return "\n".join(lines)
+    lines += ["", *_table(DELAYS, delays_of(summary)), ""]
+    return "\n".join([*lines, *_table(ESTIMATES, estimates_of(summary))])
 
 
-def _table(header: str, rows: Sequence[Sequence[str]]) -> list[str]:
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """A Markdown table, numbers to the right of a first column of words; nothing without rows."""
-    lines = [f"| {header} |", "|---|" + "---:|" * header.count("|")]
-    return [*lines, *(f"| {' | '.join(row)} |" for row in rows)] if rows else []
+    lines = [f"| {' | '.join(row)} |" for row in (header, *rows)]
+    return [lines[0], "|---|" + "---:|" * (len(header) - 1), *lines[1:]] if rows else []

@@ -12,7 +12,6 @@ from scipy.spatial import ConvexHull
 from hiltestbed.frames import Array
 
 SEGMENTS = 48  # around an axis of revolution
-ARC = 10  # rings of a quarter circle
 BEVEL = 0.008  # [m] bevel of an edge, at most a quarter of the smallest half size
 PLANE = 4.0  # [m] half side with which an infinite plane is drawn
 
@@ -67,17 +66,11 @@ def box(half: Array, rgba: Array) -> Solid:
         vertices.append(signs * (half - inset))
         normals.append(signs * np.eye(3)[axis])
     corners = np.concatenate(vertices)
-    triangles = _outward(corners, ConvexHull(corners).simplices)
-    return solid(corners, np.concatenate(normals), triangles, rgba)
-
-
-def _outward(vertices: Array, triangles: NDArray[np.integer]) -> NDArray[np.integer]:
-    """Triangles of a convex body around the origin, all oriented outward."""
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    triangles = ConvexHull(corners).simplices.copy()
+    a, b, c = (corners[triangles[:, i]] for i in range(3))
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) < 0.0
-    out = triangles.copy()
-    out[inward] = out[inward][:, ::-1]
-    return out
+    triangles[inward] = triangles[inward][:, ::-1]
+    return solid(corners, np.concatenate(normals), triangles, rgba)
 
 
 def revolved(profile: Array, rgba: Array) -> Solid:
@@ -106,7 +99,7 @@ def cylinder(radius: float, half: float, rgba: Array) -> Solid:
 
 def capsule(radius: float, half: float, rgba: Array) -> Solid:
     """About z, ``half`` [m]: half the distance of its ends' centres; 0: a sphere."""
-    a = np.linspace(-0.5 * np.pi, 0.0, ARC + 1)
+    a = np.linspace(-0.5 * np.pi, 0.0, SEGMENTS // 4 + 1)
     lower = np.stack([radius * np.cos(a), radius * np.sin(a) - half, np.cos(a), np.sin(a)], axis=-1)
     return revolved(np.concatenate([lower, (lower * [1.0, -1.0, 1.0, -1.0])[::-1]]), rgba)
 

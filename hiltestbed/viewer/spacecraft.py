@@ -47,20 +47,13 @@ def body_poses(
         model.advance(((total[row + 1] - total[done]) / ticks)[None])
         done += ticks
         out[TARGET, f] = model.centres()[0, TARGET]
-    _place_chaser(out[TARGET], model.port[0], pose_cmd[rows], out[CHASER])
-    return out
-
-
-def _place_chaser(target: Array, ports: Array, pose: Array, out: Array) -> None:
-    """``out`` (frames, 7): the chaser's poses, from the target's poses, the poses of both ports in
-    their bodies, and the poses of A in P.
-    """
-    chaser_A, at_P, at_A = np.empty(7), np.empty(7), np.empty(7)
+    ports, chaser_A, at_P, at_A = model.port[0], np.empty(7), np.empty(7), np.empty(7)
     pose_between(ports[CHASER], IDENTITY, chaser_A)
-    for f in range(len(target)):
-        pose_compose(target[f], ports[TARGET], at_P)
-        pose_compose(at_P, pose[f], at_A)
-        pose_compose(at_A, chaser_A, out[f])
+    for f, row in enumerate(rows):
+        pose_compose(out[TARGET, f], ports[TARGET], at_P)
+        pose_compose(at_P, pose_cmd[row], at_A)
+        pose_compose(at_A, chaser_A, out[CHASER, f])
+    return out
 
 
 def cuboid(body: Body) -> tuple[Array, Array]:

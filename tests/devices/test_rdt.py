@@ -14,7 +14,7 @@ import pytest
 
 from hiltestbed.devices import rdt_page
 from hiltestbed.devices.interface import DeviceError, Event
-from hiltestbed.devices.rdt import RdtClient, RdtServer, page_of
+from hiltestbed.devices.rdt import BIAS, RdtClient, RdtServer, page_of
 from hiltestbed.devices.table import sensor_client, sensor_server, settings_of
 from hiltestbed.errors import InputError
 from tests.devices.independent.rdt_peer import IndependentRdtSensor
@@ -48,7 +48,7 @@ def test_the_client_reads_and_tares_the_emulated_sensor(mode: str) -> None:
             assert client.counts[Event.LOST] == client.counts[Event.MALFORMED] == 0
             milliseconds = 1e3 * client.reading.device_time
             assert milliseconds == pytest.approx(round(milliseconds))
-            client.bias()
+            client._request(BIAS)
             until(lambda: client.wait(1.0) and not client.reading.wrench.any())
             load[0] = 1e6  # counts end at their limits
             limit = pytest.approx((2**31 - 1) / 1e5)
@@ -68,7 +68,7 @@ def test_the_client_reads_an_independent_sensor() -> None:
             np.testing.assert_allclose(client.reading.wrench, expected, rtol=1e-12)
             assert client.reading.device_time == pytest.approx((7000 + 7 * k) / 3500.0)
         assert client.counts[Event.LOST] == client.counts[Event.MALFORMED] == 0
-        client.bias()
+        client._request(BIAS)
         until(lambda: sensor.requests[-1] == bytes.fromhex("1234004200000000"))
     # closing stops the stream
     until(lambda: sensor.requests[-1] == bytes.fromhex("1234000000000000"))

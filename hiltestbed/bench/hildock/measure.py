@@ -5,7 +5,7 @@ one.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,14 +21,12 @@ from hiltestbed.bench.hildock.problem import (
     play,
     reference,
 )
-from hiltestbed.bench.result import BenchResult
+from hiltestbed.bench.result import BenchResult, Progress, silent
 from hiltestbed.report.page import Report, new_figure
-
-Progress = Callable[[float, float], None]
 
 
 def hildock(
-    quick: bool = False, enter: str | None = None, progress: Progress | None = None
+    quick: bool = False, enter: str | None = None, progress: Progress = silent
 ) -> BenchResult:
     """All entrants on all cases; quick: on the cases that the page names for it; enter: a foreign
     one, and the short ones for comparison.
@@ -50,8 +48,7 @@ def hildock(
                 course = play(case, entrant)
                 ticks += len(course.force)
                 records.append({"method": entrant.name, **indices(case, course, right)})
-                if progress:
-                    progress(number * len(todo) + i + 1, work)
+                progress(number * len(todo) + i + 1, work)
             effort[entrant.name] = 1e6 * (time.perf_counter() - begun) / ticks
     finally:
         if foreign is not None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed import build
-from hiltestbed.bench.contacts import ARM, BenchContact
+from hiltestbed.bench.contacts import ARM, AXIAL, BenchContact
 from hiltestbed.bench.contenders import Contender, contenders
 from hiltestbed.bench.hildock.problem import MASS, SPEED, START, TICK
 from hiltestbed.compensation.measurement import Measurement
@@ -18,7 +18,6 @@ from hiltestbed.numerical_model.model import NumericalModel
 LAG = 0.0005  # [s] T2 of the phase lead
 BLEND = 0.004  # [s] over which a corrected prediction is taken over
 ENOUGH = 8  # samples of contact before k and c are used: the noise of two parameters is then halved
-AXIAL = 2
 # a scenario needs a contact, which no method for a first contact reads
 UNREAD = BenchContact(1.0, 0.01, 0.05).briefing
 

@@ -13,6 +13,7 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
+from scipy.constants import centi, inch, kilo, lbf, milli
 from scipy.signal import lfilter
 
 from hiltestbed.bench.real import experts
@@ -23,14 +24,11 @@ UNITS = ("m", "N")
 
 # --- band brake
 
-INCH = 0.0254  # m, exact
-KIP = 4448.2216  # N, 1000 lbf
-
 
 def _brake_record(data: Path, file: str, name: str) -> AxisRecord:
     path = data / "friction_damper" / f"{file}.json"
     t, x, force = np.array(json.loads(path.read_text())["data"], dtype=float)[:, :3].T
-    return AxisRecord(name, t - t[0], x * INCH, force * KIP)
+    return AxisRecord(name, t - t[0], x * inch, force * kilo * lbf)
 
 
 def _halves(data: Path, tension: str) -> list[AxisRecord]:
@@ -45,10 +43,8 @@ def _earthquakes(data: Path) -> list[AxisRecord]:
 
 
 def _brake_expert(records: Sequence[AxisRecord]) -> Predictor:
-    """One slider behind a spring with play; beside it a dashpot, a spring and an offset.
-
-    Six numbers, from several starts of stiffness and play. A record that starts below a twentieth
-    of the greatest force starts in the middle of the play: the idle linkage carries that much.
+    """One slider behind a spring with play; beside it a dashpot, a spring and an offset. A record
+    that starts below a twentieth of the greatest force starts in the middle of the play.
     """
     stroke = np.ptp(np.concatenate([r.u for r in records]))
     force = np.concatenate([r.y for r in records])
@@ -109,14 +105,13 @@ QUAKES = Device(
 
 MR_FIT = ("10mm1Hz", "25mm0x25Hz", "5mm3Hz")
 MR_LEFT_OUT = ("25mm0x1Hz", "25mm0x5Hz", "2mm5Hz")
-CENTIMETRE = 0.01  # m
 
 
 def _mr_records(data: Path, current: str) -> list[AxisRecord]:
     found = []
     for run in MR_FIT + MR_LEFT_OUT:
         t, x, _, force = np.loadtxt(data / "mr_damper" / f"{run}{current}.txt").T
-        found.append(AxisRecord(run, t - t[0], x * CENTIMETRE, force))
+        found.append(AxisRecord(run, t - t[0], x * centi, force))
     return found
 
 
@@ -148,8 +143,6 @@ def _mr(current: str, stiffness: float, damping: float) -> Device:
 
 # --- hydraulic damper
 
-MILLIMETRE = 1e-3  # m
-
 
 def _dyno_record(data: Path, log: str, name: str) -> AxisRecord:
     """The load cell's sign is the opposite of the yoke's: the displacement is turned about."""
@@ -159,7 +152,7 @@ def _dyno_record(data: Path, log: str, name: str) -> AxisRecord:
     t = np.array([(stamp - stamps[0]).total_seconds() for stamp in stamps])
     force, x = (np.array([float(row[column]) for row in rows]) for column in (2, 4))
     sign = -1.0 if np.mean(np.gradient(x) * force) < 0 else 1.0
-    return AxisRecord(name, t, sign * (x - x.mean()) * MILLIMETRE, force)
+    return AxisRecord(name, t, sign * (x - x.mean()) * milli, force)
 
 
 def _open_records(data: Path) -> list[AxisRecord]:

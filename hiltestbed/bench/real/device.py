@@ -63,7 +63,12 @@ class Device:
 
     def absent(self, data: Path) -> list[str]:
         """Files that are not below `data`, or whose content is not the one that was described."""
-        return [path for path, sha256 in self.files.items() if not _is(data / path, sha256)]
+        return [
+            path
+            for path, sha256 in self.files.items()
+            if not (file := data / path).is_file()
+            or hashlib.sha256(file.read_bytes()).hexdigest() != sha256
+        ]
 
 
 def files(pattern: str) -> dict[str, str]:
@@ -74,10 +79,6 @@ def files(pattern: str) -> dict[str, str]:
     lines = (package_files("hiltestbed.bench.real") / "SHA256SUMS").read_text().splitlines()
     sums = {path: sha256 for sha256, path in (line.split("  ", 1) for line in lines)}
     return {path: sha256 for path, sha256 in sums.items() if fnmatch.fnmatch(path, pattern)}
-
-
-def _is(path: Path, sha256: str) -> bool:
-    return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == sha256
 
 
 def split(record: AxisRecord, *names: str) -> list[AxisRecord]:

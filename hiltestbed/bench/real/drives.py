@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numba
 import numpy as np
 import scipy.io
 
@@ -39,26 +38,16 @@ def _emps_expert(records: Sequence[AxisRecord]) -> Predictor:
     return experts.best_of(lambda p, r: experts.drive(p, r, window=0.01), records, [start])
 
 
-@numba.njit(cache=True)
-def _loop(p: Array, t: Array, u: Array, start: float) -> Array:
-    gain, viscous, forwards, backwards = p
-    y = np.empty(t.size)
-    q, v = start, 0.0
-    for i in range(t.size):
-        y[i] = q
-        if i + 1 < t.size:
-            dt = t[i + 1] - t[i]
-            w = v + dt * (gain * (KP * (u[i] - q) - v) - viscous * v)
-            v = max(0.0, w - dt * forwards) if w > 0 else min(0.0, w + dt * backwards)
-            q += dt * v
-    return y
-
-
 def _loop_expert(records: Sequence[AxisRecord]) -> Predictor:
     """q'' = a (kp (reference - q) - q') - b q' - c sign q', kp of the position loop known."""
     # kv gtau / mass, viscous / mass and coulomb / mass of the published values
     start = [243.45 * 35.15 / 95.1, 2.1, 0.18, 0.25]
-    return experts.best_of(lambda p, r: _loop(p, r.t, r.u, r.y[0]), records, [start])
+
+    def model(p: Array, record: AxisRecord) -> Array:
+        stiff = p[0] * KP
+        return experts.drive([stiff, p[0] + p[1], p[2], p[3]], record, window=0.0, spring=stiff)
+
+    return experts.best_of(model, records, [start])
 
 
 def _emps(loop: bool) -> Device:

@@ -67,63 +67,53 @@ def derivatives(record: AxisRecord, window: float, column: str = "y") -> tuple[A
     return first, second
 
 
-def initial_speed(record: AxisRecord, window: float) -> float:
-    """Slope of a straight line through the output of the first `window` seconds; 0 without rows."""
-    rows = record.t - record.t[0] <= window
-    if np.count_nonzero(rows) < 2:
-        return 0.0
-    return float(np.polyfit(record.t[rows] - record.t[0], record.y[rows], 1)[0])
-
-
 @numba.njit(cache=True)
-def _drive(p: Array, t: Array, u: Array, start: float, speed: float, steps: int) -> Array:
-    gain, viscous, forwards, backwards, sine, cosine = p
+def _drive(p: Array, t: Array, u: Array, start: float, speed: float) -> Array:
+    gain, viscous, forwards, backwards, spring = p
     y = np.empty(t.size)
     q, v = start, speed
     for i in range(t.size):
         y[i] = q
         if i + 1 < t.size:
-            dt = (t[i + 1] - t[i]) / steps
-            for _ in range(steps):
-                w = v + dt * (gain * u[i] - viscous * v - sine * np.sin(q) - cosine * np.cos(q))
-                v = max(0.0, w - dt * forwards) if w > 0 else min(0.0, w + dt * backwards)
-                q += dt * v
+            dt = t[i + 1] - t[i]
+            w = v + dt * (gain * u[i] - viscous * v - spring * q)
+            v = max(0.0, w - dt * forwards) if w > 0 else min(0.0, w + dt * backwards)
+            q += dt * v
     return y
 
 
-def drive(p: Array, record: AxisRecord, window: float, steps: int = 1) -> Array:
-    """Position of q'' = a u - b q' - c sign q' - d sin q - e cos q, all per inertia, from the
-    input alone.
-
-    `p` = (a, b, c forwards, c backwards, d, e), what is missing at the end counts as 0. It
-    starts at the recorded position with the slope of the first `window` seconds. At rest, dry
-    friction holds what does not exceed it.
-    """
-    full = np.zeros(6)
-    full[: len(p)] = p
-    return _drive(full, record.t, record.u, record.y[0], initial_speed(record, window), steps)
-
-
-def drive_regression(
-    records: Sequence[AxisRecord], window: float, slow: float, gravity: bool = False
+def drive(
+    p: Array | Sequence[float], record: AxisRecord, window: float, spring: float = 0.0
 ) -> Array:
+    """Position of q'' = a u - b q' - c sign q' - ``spring`` q, all per inertia, from the input
+    alone.
+
+    `p` = (a, b, c forwards, c backwards). It starts at the recorded position with the slope of the
+    first `window` seconds; 0 without rows. At rest, dry friction holds what does not exceed it.
+    """
+    rows, speed = record.t - record.t[0] <= window, 0.0
+    if np.count_nonzero(rows) > 1:
+        speed = float(np.polyfit(record.t[rows] - record.t[0], record.y[rows], 1)[0])
+    return _drive(np.append(p, spring), record.t, record.u, record.y[0], speed)
+
+
+def drive_regression(records: Sequence[AxisRecord], window: float, slow: float) -> Array:
     """The parameters of `drive` by linear least squares (inverse dynamics, rows faster than
     `slow`).
 
-    q'' + b q' + c sign q' + offset + d sin q + e cos q = a u, with the derivatives of
+    q'' + b q' + c sign q' + offset = a u, with the derivatives of
     `derivatives`. Source: Janot, Gautier, Brunot 2019, data set and reference models of EMPS.
     """
     blocks, targets = [], []
     for r in records:
         v, a = derivatives(r, window)
         columns = [a, v, np.sign(v), np.ones_like(v)]
-        columns += [np.sin(r.y), np.cos(r.y)] if gravity else []
         moving = np.abs(v) > slow
         blocks.append(np.column_stack(columns)[moving])
         targets.append(r.u[moving])
     solution = np.linalg.lstsq(np.vstack(blocks), np.concatenate(targets), rcond=None)[0]
-    mass, viscous, dry, offset = solution[:4]
-    return np.array([1.0, viscous, dry + offset, dry - offset, *solution[4:]]) / mass
+    mass, viscous, dry, offset = solution
+    return np.array([1.0, viscous, dry + offset, dry - offset]) / mass
 
 
 @numba.njit(cache=True)
@@ -186,10 +176,10 @@ def slider(p: Array, u: Array, first: float = 0.0) -> Array:
 
 
 @numba.njit(cache=True)
-def _bouc_wen(p: Array, t: Array, u: Array, steps: int) -> Array:
+def _bouc_wen(p: Array, t: Array, u: Array) -> Array:
     alpha, reach, exponent, damping, dashpot, stiffness, offset = p
     force = np.empty(t.size)
-    z = 0.0
+    z, steps = 0.0, 4
     for i in range(t.size):
         j = max(i, 1)
         speed = (u[j] - u[j - 1]) / (t[j] - t[j - 1])
@@ -203,7 +193,7 @@ def _bouc_wen(p: Array, t: Array, u: Array, steps: int) -> Array:
     return force
 
 
-def bouc_wen(p: Array, record: AxisRecord, steps: int = 4) -> Array:
+def bouc_wen(p: Array, record: AxisRecord) -> Array:
     """Force of the modified Bouc-Wen damper at the recorded displacement.
 
     `p` = (force of the hysteretic element [N], its reach [m], exponent, damping beside it,
@@ -211,4 +201,4 @@ def bouc_wen(p: Array, record: AxisRecord, steps: int = 4) -> Array:
     Sain, Carlson 1997, eq. 16 to 18, with k0 = 0 and beta = gamma, so that |z| <= 1.
     """
     p = np.abs(p[:5]).tolist() + list(p[5:])
-    return _bouc_wen(np.asarray(p), record.t, record.u, steps)
+    return _bouc_wen(np.asarray(p), record.t, record.u)

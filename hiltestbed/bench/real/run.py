@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from hiltestbed.axis.diagnose import diagnose_axis
 from hiltestbed.bench.real import DEVICES
 from hiltestbed.bench.real.device import Array, AxisRecord, Device
 from hiltestbed.bench.real.peer import sysid_of
-from hiltestbed.bench.result import BenchResult
+from hiltestbed.bench.result import BenchResult, Progress, silent
 from hiltestbed.errors import InputError
 from hiltestbed.report.page import Report, new_figure
 
@@ -31,7 +31,7 @@ MEASURED, NOMINAL, EXPERT, PRODUCT = "#1b2530", "#d1495b", "#e0a100", "#0b6e99"
 
 def real(
     quick: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
     data: Path | None = None,
 ) -> BenchResult:
     """Every device whose records are below ``data``; the others are skipped, and said.
@@ -54,13 +54,11 @@ def real(
         )
     records, pictures = [], []
     for number, device in enumerate(present):
-        if progress:
-            progress(number, len(present))
+        progress(number, len(present))
         record, figure = measured(device, data)
         records.append(record)
         pictures.append((device, figure))
-    if progress:
-        progress(len(present), len(present))
+    progress(len(present), len(present))
     skipped = [d.name for d in wanted if d not in present]
     ratios = [r["ratio"] for r in records]
     summary = {

@@ -14,6 +14,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from scipy.constants import centi, milli
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
 from hiltestbed.bench.real import experts
@@ -137,7 +138,6 @@ PULLER = replace(
 
 # --- camber and toe
 
-MILLISECOND = 1e-3  # s
 PERIOD = 0.01  # s
 # of each actuator: prefix of its files, its runs, and the unit of its positions in SI
 CAMBER = {
@@ -163,7 +163,7 @@ def _camber_records(data: Path, actuator: str) -> list[AxisRecord]:
         # columns: time, target, demand of the profile, position, speed, current
         t, target, demand, y = table[:, :4].T
         u = (target if actuator == "LinD" else demand) * scale
-        found.append(evenly(AxisRecord(run, t * MILLISECOND, u, y * scale), PERIOD))
+        found.append(evenly(AxisRecord(run, t * milli, u, y * scale), PERIOD))
     return found
 
 
@@ -202,14 +202,13 @@ def _camber(actuator: str, title: str, unit: str) -> Device:
 
 PRESS_RUNS = {"chirp_0A": "0A.txt", "sine_0A": "15Hz0A.txt", "sine_1A": "15Hz1A.txt"}
 RATE = 1000.0  # Hz, the header's sampling rate
-CENTIMETRE = 0.01  # m
 
 
 def _press_records(data: Path) -> list[AxisRecord]:
     found = {}
     for name, file in PRESS_RUNS.items():
         path = data / "press" / file
-        table = np.loadtxt(path, delimiter=",", skiprows=7, usecols=(2, 4)) * CENTIMETRE
+        table = np.loadtxt(path, delimiter=",", skiprows=7, usecols=(2, 4)) * centi
         found[name] = AxisRecord(name, np.arange(len(table)) / RATE, table[:, 1], table[:, 0])
     chirp = split(found.pop("chirp_0A"), "chirp_0A_a", "chirp_0A_b")
     return [*chirp, *found.values()]

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import butter
 
 from hiltestbed import build
-from hiltestbed.bench.contacts import BenchContact
+from hiltestbed.bench.contacts import AXIAL, BenchContact
 from hiltestbed.bench.contenders import contenders
 from hiltestbed.bench.hildock.methods import UNREAD
 from hiltestbed.bench.rths.problem import TICK, Material, Method, RthsRecord, late
@@ -21,7 +21,6 @@ from hiltestbed.frames import Array
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.scenario import Scenario
 
-AXIAL = 2
 NONE = {"kind": "none"}
 
 

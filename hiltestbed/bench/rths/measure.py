@@ -4,7 +4,7 @@ its repository states.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.bench.result import BenchResult
+from hiltestbed.bench.result import BenchResult, Progress, silent
 from hiltestbed.bench.rths.entrants import Rodeac, known, shipped, uncompensated
 from hiltestbed.bench.rths.problem import (
     GROUNDS,
@@ -50,7 +50,7 @@ PARTS = {f"J{i}": ("1", "2") if i < 5 else UPPER if i in (8, 10) else NODE for i
 
 def rths(
     quick: bool = False,
-    progress: Callable[[float, float], None] | None = None,
+    progress: Progress = silent,
     data: Path | None = None,
 ) -> BenchResult:
     """Every method on every ground motion, with the nominal and with uncertain transfer systems.
@@ -80,8 +80,7 @@ def rths(
             records += [_row(ground, name, i, record, right) for i in range(len(drawn.poles))]
             if acceleration is first:
                 courses[name] = RthsRecord(*(rows[:, :1].copy() for rows in record))
-            if progress:
-                progress(len(records), len(shaken) * (1 + len(methods) * len(drawn.poles)))
+            progress(len(records), len(shaken) * (1 + len(methods) * len(drawn.poles)))
     boards = {
         g: {name: _board([r for r in records if (r["ground"], r["method"]) == (g, name)])
             for name in (*methods, "perfect")}

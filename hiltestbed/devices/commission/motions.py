@@ -65,7 +65,11 @@ def motions(scenario: Scenario, force: float) -> list[TestMotion]:
         return [_shaken(scenario, force).after_rest(round(REST / scenario.tick))]
     depth = min(force / scenario.mechanism.contact.stiffness, LARGEST)
     away = -(CLEAR + 2.0 * FREE)
-    found = [TestMotion("open", _at(0.0, 0.0, away), _oscillations(scenario.tick), touches=False)]
+    t = _instants(FREE_TIME, scenario.tick)
+    free = np.zeros((len(t), 6))
+    for axis, frequency in enumerate(FREQUENCIES):
+        free[:, axis] = FREE * _window(t / FREE_TIME) * np.sin(2.0 * np.pi * frequency * t)
+    found = [TestMotion("open", _at(0.0, 0.0, away), free, touches=False)]
     arms = [(0.0, 0.0), (ARM, 0.0), (0.0, ARM), (-ARM, -0.8 * ARM)]
     press = _press(scenario.tick, depth)
     for number, (x, y) in enumerate(arms if scenario.mechanism.flat else arms[:1]):
@@ -85,14 +89,6 @@ def _instants(duration: float, tick: float) -> Array:
 def _window(x: Array) -> Array:
     """Window that rises smoothly to 1 over the first fifth and falls to 0 over the last fifth."""
     return np.array([blend(min(1.0, 5.0 * v)) * blend(min(1.0, 5.0 * (1.0 - v))) for v in x])
-
-
-def _oscillations(tick: float) -> Array:
-    t = _instants(FREE_TIME, tick)
-    out = np.zeros((len(t), 6))
-    for axis, frequency in enumerate(FREQUENCIES):
-        out[:, axis] = FREE * _window(t / FREE_TIME) * np.sin(2.0 * np.pi * frequency * t)
-    return out
 
 
 def _press(tick: float, depth: float) -> Array:

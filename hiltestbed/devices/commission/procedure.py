@@ -161,9 +161,8 @@ def _fitted(
 def _turned(
     scenario: Scenario, sensor: SensorFit, touched: Sequence[Shown], noise: Array
 ) -> SensorFit | None:
-    """The sensor fitted with gains and crosstalk in its own axes, if these are slightly rotated
-    against those in the scenario. None if they are not, if the sign or the attitude is entirely
-    different, or if gains in P's axes fit better.
+    """The sensor fitted with gains and crosstalk in its own axes; None if these are not slightly
+    rotated against those in the scenario, or if gains in P's axes fit better.
     """
     mounted = scenario.devices.sensor
     if sensor.sign != mounted.sign:
@@ -245,24 +244,19 @@ def write_commission(result: Commissioned, path: Path) -> Path:
             file, t = f"run_{number:02d}.parquet", np.arange(len(found.pose)) / result.believed.rate
             data = {"pose_cmd": found.command, "pose_act": found.pose, "wrench_meas": found.wrench}
             write_trace(RunTrace(t, data, np.zeros(len(t), dtype=bool)), folder / file)
-            different = _differences(found.start, len(t) / result.believed.rate)
+            different = {  # a motion starts at rest
+                "approach.gap": float(-found.start[2]),
+                "approach.offset": [float(v) for v in found.start[:2]],
+                "approach.velocity": [0.0, 0.0, 0.0],
+                "approach.attitude_deg": attitude_deg_from_quat(found.start[3:7]).tolist(),
+                "approach.rate_deg": [0.0, 0.0, 0.0],
+                "duration": len(t) / result.believed.rate,
+            }
             runs.append({"file": file, "set": different})
         name = f"commissioning of {result.believed.name}"
         dataset = {"name": name, "scenario": BELIEVED, "runs": runs}
         (folder / DATASET).write_text(dump_yaml(dataset), encoding="utf-8")
     return path
-
-
-def _differences(start: np.ndarray, duration: float) -> dict[str, Any]:
-    """Differences of a motion from the scenario: its start pose, at rest."""
-    return {
-        "approach.gap": float(-start[2]),
-        "approach.offset": [float(v) for v in start[:2]],
-        "approach.velocity": [0.0, 0.0, 0.0],
-        "approach.attitude_deg": attitude_deg_from_quat(start[3:7]).tolist(),
-        "approach.rate_deg": [0.0, 0.0, 0.0],
-        "duration": duration,
-    }
 
 
 def figures(result: Commissioned) -> dict[str, Any]:

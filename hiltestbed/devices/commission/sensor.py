@@ -241,13 +241,11 @@ class _Data:
         return _Fit(fit.x, turned(fit.x), float(1e-3 * fit.x[3]), float(2.0 * fit.cost), fit.jac)
 
     def most_telling(self, sign: int, fit: _Fit, chosen: Sequence[Element]) -> list[Element]:
-        """The number that would reduce the sum of squares most, to first order and in addition to
-        those in ``fit``; then its equals.
+        """The number that would reduce the sum of squares most, to first order; then its equals.
 
-        Among equals, crosstalk from a force precedes crosstalk from a torque: if the force has only
-        one direction, a rotation with crosstalk of the force resembles another rotation with
-        crosstalk of the torque. A number :data:`FAR` times as large as another comes last: where a
-        rotation puts a little of fz on x, a gain of 2 has the same result as crosstalk of 5 %.
+        Among equals, crosstalk from a force precedes that from a torque; a number :data:`FAR` times
+        as large as another comes last: where a rotation puts a little of fz on x, a gain of 2 has
+        the same result as crosstalk of 5 %.
         """
         shown = self._shown(fit.rotation, fit.delay, _calibration(chosen, fit.p[4:]))
         left = ((self.reading - sign * shown) * self._weight).ravel()
