@@ -189,7 +189,13 @@ RESIZED: dict[str, Draw] = {
     "unknown.acceleration_limit": {
         "limit": inverse(2.5, 4.0, lambda v, f: v * f.peak / f.reduced_mass)
     },
-    "unknown.drag": {"coefficient": scaled(0.02, 0.06, lambda v, f: v * f.reduced_mass / f.span)},
+    "unknown.drag": {
+        "coefficient": scaled(
+            0.02,
+            0.06,
+            lambda v, f: v * f.reduced_mass / f.span,  # type: ignore[attr-defined]
+        )
+    },
     "unknown.tether": {
         "stiffness": scaled(0.02, 0.06, lambda v, f: v * f.peak / max(f.side, 0.01))
     },
