@@ -126,8 +126,10 @@ def test_a_working_folder_that_is_gone(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_a_limit_of_memory_is_named() -> None:
     size = 300_000_000
-    limited = lambda: resource.setrlimit(resource.RLIMIT_AS, (size, size))  # noqa: E731
-    done = program(*CLI, "check", str(BUMPER), preexec_fn=limited)
+    done = program(
+        *(*CLI, "check", str(BUMPER)),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (size, size)),
+    )
     assert done.returncode == 1
     assert "ulimit -v" in done.stderr
     assert len(done.stderr.splitlines()) == 1
