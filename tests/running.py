@@ -15,9 +15,7 @@ SCENARIOS = Path(__file__).parents[1] / "scenarios"
 
 
 def run(scenario: Scenario) -> Run:
-    """A run with its trace and its reference; not told is whether it is stable, which takes longer
-    than a short run itself.
-    """
+    """A run with its trace, without its stability, which takes longer than a short run itself."""
     return run_batch([scenario], trace=True)[0]
 
 

@@ -1,11 +1,15 @@
-"""A file of Python that is in no package, as a module."""
+"""Python that is in no package: a file as a module, a program in a process of its own."""
 
 from __future__ import annotations
 
 import importlib.util
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
+
+CLI = ("-m", "hiltestbed.cli")
 
 
 def module(path: Path) -> ModuleType:
@@ -16,3 +20,9 @@ def module(path: Path) -> ModuleType:
     sys.modules[spec.name] = found
     spec.loader.exec_module(found)
     return found
+
+
+def program(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Of these arguments of Python, at its end, with its two streams as text."""
+    given = {"capture_output": True, "text": True, "errors": "replace", "timeout": 300} | options
+    return subprocess.run([sys.executable, *arguments], **given)

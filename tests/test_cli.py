@@ -18,6 +18,7 @@ from hiltestbed.bench.result import BenchResult
 from hiltestbed.cli.options import complete
 from hiltestbed.report.page import Report
 from hiltestbed.scenario import load_scenario
+from tests.scripts import CLI, program
 
 TEXT = """\
 name: head-on
@@ -224,15 +225,6 @@ def test_figures_are_written_beside_the_report_when_asked_for(folder: Path, call
         assert ElementTree.parse(f"r/figures/{name}.svg").getroot().tag.endswith("svg")
 
 
-def command(*arguments: str, **options) -> subprocess.Popen:
-    return subprocess.Popen(
-        [sys.executable, "-m", "hiltestbed.cli", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        **options,
-    )
-
-
 def test_help_imports_nothing_heavy_and_version_is_told() -> None:
     """What --help costs is what it imports; the simulation's packages take a second."""
     heavy = ["mujoco", "pinocchio", "numba", "scipy", "rerun", "pyarrow", "numpy"]
@@ -242,29 +234,26 @@ def test_help_imports_nothing_heavy_and_version_is_told() -> None:
         "hiltestbed.cli.main()\nexcept SystemExit: pass\n"
     )
     code += f"print([m for m in {heavy} if m in sys.modules], file=sys.stderr)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = program("-c", code, check=True)
     assert "check" in done.stdout
     assert done.stderr.strip() == "[]"
-    out, _ = command("--version").communicate()
-    assert out.startswith(b"hiltestbed ")
+    assert program(*CLI, "--version").stdout.startswith("hiltestbed ")
 
 
 def test_a_reader_that_hangs_up_gets_no_traceback(folder: Path) -> None:
     read, write = os.pipe()
     os.close(read)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "hiltestbed.cli", "schema"], stdout=write, stderr=subprocess.PIPE
-    )
+    told = {"stdout": write, "stderr": subprocess.PIPE, "capture_output": False}
+    done = program(*CLI, "schema", **told)
     os.close(write)
-    _, err = process.communicate()
-    assert b"Traceback" not in err
-    assert process.returncode == 1
+    assert (done.returncode, "Traceback" in done.stderr) == (1, False)
 
 
 def test_ended_early_leaves_no_folder_and_no_traceback(folder: Path, call) -> None:
     """And is done when it is called again."""
     long = "--set duration=200 --set approach.velocity=[0,0,0]"
-    process = command(*f"run s.yaml --no-rerun --out r {long}".split())
+    order = [sys.executable, *CLI, *f"run s.yaml --no-rerun --out r {long}".split()]
+    process = subprocess.Popen(order, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     end = time.monotonic() + 60.0
     # past the command's own imports
     while "libmujoco" not in Path(f"/proc/{process.pid}/maps").read_text():

@@ -8,13 +8,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from hiltestbed.analysis.export import export_mjcf, exported
 from hiltestbed.analysis.spring_damper import SpringDamper, reduced_mass
 from hiltestbed.axis.dataset import AxisDataset, nominal_of
 from hiltestbed.axis.models import AxisRun, model_of
-from hiltestbed.cli.program import app
 from hiltestbed.errors import InputError
 from hiltestbed.inference.model import Hypothesis
 from hiltestbed.scenario import dump_scenario, load_scenario
@@ -130,14 +128,13 @@ def test_what_mujoco_cannot_say_is_listed_with_what_it_is(tmp_path: Path) -> Non
     assert bounced(found.text)[2].max() == pytest.approx(100.0)
 
 
-def test_the_command_writes_a_file_that_loads(tmp_path: Path) -> None:
+def test_the_command_writes_a_file_that_loads(tmp_path: Path, call) -> None:
     folder, file = folder_of(tmp_path / "d", AXIS), tmp_path / "arm.xml"
-    found = CliRunner().invoke(app, ["export", str(folder), "--mjcf", str(file), "--json"])
-    assert found.exit_code == 0
-    assert json.loads(found.stdout)["unsaid"] == []
+    status, out, _ = call("export", str(folder), "--mjcf", str(file), "--json")
+    assert (status, json.loads(out)["unsaid"]) == (0, [])
     assert mujoco.MjModel.from_xml_path(str(file)).actuator_delay[0] == pytest.approx(0.02)
-    said = CliRunner().invoke(app, ["export", str(folder), "--mjcf", str(tmp_path / "b.xml")])
-    assert "delay: 0.02 s" in said.stdout
+    said = call("export", str(folder), "--mjcf", str(tmp_path / "b.xml"))[1]
+    assert "delay: 0.02 s" in said
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:

@@ -5,8 +5,6 @@ those inside functions included.
 from __future__ import annotations
 
 import ast
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -17,6 +15,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 import hiltestbed
+from tests.scripts import program
 from tests.slow import slow
 
 ROOT = Path(hiltestbed.__file__).parent
@@ -93,9 +92,7 @@ def circles(imported: dict[str, set[str]]) -> list[set[str]]:
 
 
 def packages_to(importer: str, module: str) -> Iterator[str]:
-    """A module and the packages around it, but not around the importer, whose __init__ runs before
-    it.
-    """
+    """A module and the packages around it, but not the importer's own."""
     parts = module.split(".")
     steps = (".".join(parts[:end]) for end in range(2, len(parts) + 1))
     yield from (step for step in steps if not f"{importer}.".startswith(f"{step}."))
@@ -142,21 +139,16 @@ def late():
     ],
 )
 def test_whatever_is_imported_first_the_table_of_methods_is_whole(first: str) -> None:
-    program = (
-        f"import hiltestbed.{first}, hiltestbed as h; h.load_scenario('26-force-compensation')"
-    )
-    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+    text = f"import hiltestbed.{first}, hiltestbed as h; h.load_scenario('26-force-compensation')"
+    assert program("-c", text).returncode == 0
 
 
 def test_a_scenario_is_loaded_without_the_physics() -> None:
     """Of every shipped scenario: keys and numbers, no MuJoCo, Pinocchio or compiled code."""
-    program = (
+    text = (
         "import sys, hiltestbed; from hiltestbed.config.gallery import scenario_names\n"
         "loaded = [hiltestbed.load_scenario(name) for name in scenario_names()]\n"
         "heavy = ('numba', 'mujoco', 'pinocchio', 'scipy')\n"
         "print(len(loaded) > 20, [name for name in heavy if name in sys.modules])"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "True []"
+    assert program("-c", text).stdout.strip() == "True []"

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.scripts import program
+
 
 def ended(code: str, *arguments: str) -> tuple[int, str, str]:
     """Status, output and errors of a program of this text."""
-    done = subprocess.run(
-        [sys.executable, "-c", code, *arguments], capture_output=True, timeout=60, text=True
-    )
+    done = program("-c", code, *arguments)
     return done.returncode, done.stdout, done.stderr
 
 
@@ -30,11 +30,6 @@ sys.held = Late()  # until the modules are taken down, which is the last thing
 interrupt.install()
 sys.exit(3)
 """
-
-
-def test_ctrl_c_in_the_last_instant_leaves_the_status_as_it_is() -> None:
-    assert ended(LATE) == (3, "", "")
-
 
 THROUGH_TEXT = """
 import os, sys
@@ -49,10 +44,8 @@ except KeyboardInterrupt:
 
 def test_ctrl_c_that_passed_through_an_exec_leaves_the_status_as_it_is(tmp_path: Path) -> None:
     (tmp_path / "through_text.py").write_text(THROUGH_TEXT)
-    done = subprocess.run(
-        [sys.executable, "-m", "through_text"], capture_output=True, timeout=60, cwd=tmp_path
-    )
-    assert (done.returncode, done.stderr) == (1, b"")
+    done = program("-m", "through_text", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (1, "")
 
 
 IN_AN_EXECUTOR = """
@@ -72,11 +65,6 @@ except KeyboardInterrupt:
     print("interrupted")
 """
 
-
-def test_ctrl_c_inside_an_executor_waits_until_it_has_left_its_locks() -> None:
-    assert ended(IN_AN_EXECUTOR) == (0, "whole\ninterrupted\n", "")
-
-
 COMPILING = """
 import os, time
 from hiltestbed.process import interrupt
@@ -91,8 +79,17 @@ except KeyboardInterrupt:
 """
 
 
-def test_ctrl_c_waits_for_llvm() -> None:
-    assert ended(COMPILING) == (0, "compiled\ninterrupted\n", "")
+@pytest.mark.parametrize(
+    ("text", "status", "told"),
+    [
+        (LATE, 3, ""),
+        (IN_AN_EXECUTOR, 0, "whole\ninterrupted\n"),
+        (COMPILING, 0, "compiled\ninterrupted\n"),
+    ],
+    ids=["in the last instant", "in the locks of an executor", "in LLVM"],
+)
+def test_ctrl_c_waits_for_what_it_would_garble(text: str, status: int, told: str) -> None:
+    assert ended(text) == (status, told, "")
 
 
 EARLY = """

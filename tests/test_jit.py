@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +10,7 @@ import numpy as np
 import hiltestbed
 from hiltestbed.compiled.jit import INTERPRETED_CALLS, Seldom
 from hiltestbed.frames import quat_mul
+from tests.scripts import program
 from tests.slow import SLOW
 
 LAW = """
@@ -49,11 +48,10 @@ print(force(1.0), constant(1.0), of_module(1.0), *(sum(f.dispatcher.stats.cache_
 """
 
 
-def printed(folder: Path, program: str, text: str, *arguments: str) -> str:
+def printed(folder: Path, file: str, text: str, *arguments: str) -> str:
     """By a program of its own in the folder."""
-    (folder / program).write_text(text)
-    line = [sys.executable, "-B", program, *arguments]
-    done = subprocess.run(line, cwd=folder, capture_output=True, text=True)
+    (folder / file).write_text(text)
+    done = program("-B", file, *arguments, cwd=folder)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
 

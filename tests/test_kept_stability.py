@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,6 +9,7 @@ import pytest
 from hiltestbed import plugins
 from hiltestbed.analysis import kept_stability, stability
 from hiltestbed.analysis.kept_stability import stability_of_file
+from tests.scripts import program
 
 TEXT = """\
 name: head-on
@@ -106,14 +105,12 @@ def test_a_cache_that_cannot_be_used_is_done_without(
 def test_a_file_is_checked_once_more_without_compiled_code(computed: list[dict]) -> None:
     """What takes longest of a check is importing: Numba and SciPy wait for a new verdict."""
     stability_of_file("s.yaml")
-    program = (
+    text = (
         "import sys; from hiltestbed.cli import main; sys.argv = ['hiltestbed', 'check', 's.yaml']\n"
         "try: main()\n"
         "except SystemExit as ended: assert not ended.code\n"
         "print([name for name in ('numba', 'scipy', 'pinocchio') if name in sys.modules])"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
+    done = program("-c", text, check=True)
     assert "no faults" in done.stdout
     assert done.stdout.splitlines()[-1] == "[]"

@@ -17,6 +17,14 @@ def chirp(seconds: float, rate: float, low: float, high: float, size: float) -> 
     return t, size * np.sin(2.0 * np.pi * (low * t + 0.5 * (high - low) / seconds * t**2))
 
 
+def slid(v: float, push: float, dry: float, h: float, mass: float = 1.0) -> float:
+    """Speed after h under a push and dry friction, which holds what rests and reverses nothing."""
+    if v == 0.0 and abs(push) <= dry:
+        return 0.0
+    new = v + h * (push - dry * (np.sign(v) if v != 0.0 else np.sign(push))) / mass
+    return 0.0 if v * new < 0.0 else new
+
+
 def carriage(
     seed: int, mass=42.0, viscous=130.0, coulomb=18.0, offset=4.0, gravity=0.0, swing=1.0
 ) -> AxisRun:
@@ -40,11 +48,7 @@ def carriage(
         # a drive holds its force over a row
         for _ in range(FINE):
             net = force[k] - offset - viscous * v - gravity * np.sin(x)
-            if v == 0.0 and abs(net) <= coulomb:
-                continue
-            way = np.sign(v) if v != 0.0 else np.sign(net)
-            new = v + h * (net - coulomb * way) / mass
-            v = 0.0 if v * new < 0.0 else new
+            v = slid(v, net, coulomb, h, mass)
             x += h * v
     place[-1] = x
     # what a row holds is the force until the next: half a row late, seen from its middle
@@ -67,11 +71,7 @@ def servo(
             held = min(max(held, x - 0.5 * play), x + 0.5 * play)
             out[i // FINE] = held
         pull = w * w * (goal[i] - x) - 2.0 * zeta * w * v
-        if v == 0.0 and abs(pull) <= w * w * friction:
-            continue
-        way = np.sign(v) if v != 0.0 else np.sign(pull)
-        new = v + h * (pull - w * w * friction * way)
-        v = 0.0 if v * new < 0.0 else new
+        v = slid(v, pull, w * w * friction, h)
         x += h * v
     return AxisRun(f"run {seed}", t, u, out + noise * rng.standard_normal(len(t)))
 

@@ -12,6 +12,7 @@ from hiltestbed.axis.models import AxisRun, model_of
 from hiltestbed.axis.motion import averaged, motion_of
 from hiltestbed.inference.likelihood import Likelihood
 from hiltestbed.inference.model import Hypothesis
+from tests.axis.machines import slid
 from tests.axis.test_recovery import found
 
 ROW = 0.002  # [s]
@@ -80,11 +81,7 @@ def held(seed: int) -> AxisRun:
     for k, force in enumerate(u):
         y[k] = x
         for _ in range(fine):
-            if v == 0.0 and abs(force) <= COULOMB:
-                break
-            way = math.copysign(1.0, v if v != 0.0 else force)
-            new = v + h / MASS * (force - VISCOUS * v - COULOMB * way)
-            new = 0.0 if v * new < 0.0 else new
+            new = slid(v, force - VISCOUS * v, COULOMB, h, MASS)
             x, v = x + 0.5 * h * (v + new), new
     y += 2e-6 * rng.standard_normal(len(u))
     return AxisRun(f"run {seed}", rows((len(u) - 1) * ROW), u, y)

@@ -47,20 +47,19 @@ def ring_of(**sections) -> ActiveRing:
 
 
 class Stand:
-    """The active side alone, its base held or free, its ring on legs; None: on its springs."""
+    """The active side alone, its base held or free, its ring on legs."""
 
-    def __init__(self, ring: ActiveRing | None, n: int = 1, free: bool = False, dt: float = DT):
+    def __init__(self, ring: ActiveRing, n: int = 1, free: bool = False):
         spec, side = mujoco.MjSpec(), named(models_folder() / "idss_ring" / "active.xml")
-        spec.option.timestep, spec.option.gravity = dt, [0.0, 0.0, 0.0]
-        if ring is not None:
-            stand_on_legs(side, ring)
+        spec.option.timestep, spec.option.gravity = DT, [0.0, 0.0, 0.0]
+        stand_on_legs(side, ring)
         body = spec.worldbody.add_body(name="base")
         if free:
             body.add_freejoint()
         spec.attach(side, prefix=ACTIVE, frame=body.add_frame())
         self.batch = Batch(spec.compile(), n, 1)
         self.model = m = self.batch.model
-        self.legs = None if ring is None else RingLegs(self.batch, ring, n, dt)
+        self.legs = RingLegs(self.batch, ring, n, DT)
         joints = [m.joint(ACTIVE + name) for name in JOINTS]
         first = int(joints[0].qposadr[0]), int(joints[0].dofadr[0])
         self.q = self.batch.bind("qpos")[:, first[0] : first[0] + 6]
@@ -70,13 +69,12 @@ class Stand:
 
     def command(self) -> None:
         self.batch.forward(stage=VEL)
-        if self.legs is not None:
-            self.legs.push()
+        self.legs.push()
 
-    def run(self, seconds: float, dt: float = DT) -> np.ndarray:
+    def run(self, seconds: float) -> np.ndarray:
         """Deflections (steps, n, 6) of the ring."""
         found = []
-        for _ in range(round(seconds / dt)):
+        for _ in range(round(seconds / DT)):
             self.command()
             self.batch.step()
             found.append(self.q.copy())
@@ -106,26 +104,6 @@ def test_the_forces_of_the_legs_do_the_work_of_the_impedance(legs: dict) -> None
             assert stand.ctrl[0] @ stretch == pytest.approx(wanted, rel=1e-7, abs=1e-6)
 
 
-def test_ideal_legs_are_the_springs_and_dampers_that_they_replace() -> None:
-    """MuJoCo's dampers take the rate at the end of a step, the legs' that at its start. Rates of
-    decay C/M differ by their share dt C/M in either direction, hence by at most 2 dt C/M of the
-    largest deflection, and by half of it in half the step.
-    """
-    start = np.array([0.02, -0.01, 0.03, 0.03, -0.02, 0.02])
-    apart = []
-    for dt in (DT, DT / 2):
-        ways = []
-        for ring in (ring_of(legs=IDEAL, capture=PASSIVE), None):
-            stand = Stand(ring, dt=dt)
-            stand.q[:] = start
-            ways.append(stand.run(1.0, dt)[:, 0])
-        apart.append(np.abs(ways[0] - ways[1]).max(axis=0))
-        bound = 2.0 * dt * (np.array(PASSIVE["damping"]) / INERTIA).max() * np.abs(start)
-        assert (apart[-1] < bound).all()
-        assert (np.abs(ways[1][-1]) < np.abs(start)).all()
-    np.testing.assert_allclose(apart[0], 2.0 * apart[1], rtol=0.1)
-
-
 def docking(duration: float, ring: dict | None) -> Done:
     """The shipped scenario on an ideal rig; None: on the springs."""
     data = {k: v for k, v in SHIPPED.items() if k not in ("sensor", "limits", "compensation")}
@@ -145,11 +123,8 @@ def test_a_docking_on_ideal_legs_is_that_on_springs() -> None:
     share = DT * max(PASSIVE["damping"][:3]) / INERTIA[0]
     assert np.abs(springs).max() / RATE > 5.0  # N s
     np.testing.assert_allclose(legs, springs, atol=share * np.abs(springs).max())
-
-
-def test_legs_absorb_no_more_than_the_approach_brings() -> None:
-    """Before a latch adds its own: 0.5 J of 400 kg at 0.05 m/s."""
-    absorbed = docking(3.1, {}).outcomes[0]["active_ring"]["energy_absorbed"]
+    # before a latch adds its own, no more than the approach brings
+    absorbed = ways[0].outcomes[0]["active_ring"]["energy_absorbed"]
     assert 0.05 < absorbed < 0.5 * 400.0 * 0.05**2
 
 

@@ -37,9 +37,7 @@ def held(name: str, until: float) -> tuple[Plant, np.ndarray, np.ndarray]:
 def measured(
     plant: Plant, start: np.ndarray, lever: np.ndarray, ticks: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Stiffness and damping (6, 6) by steps of each axis either way: the wrench so many ticks
-    after, and what a tick of motion adds.
-    """
+    """Stiffness and damping (6, 6) by steps of each axis either way, after so many ticks."""
     place = start[:3] + Rotation.from_quat(start[3:]).apply(lever)
     tick = 5e-4
 

@@ -127,22 +127,28 @@ def test_a_dead_zone_in_the_curve_over_the_stretch_is_play_that_travels_with_the
     np.testing.assert_allclose(got, play, atol=1e-6)
 
 
+HALF = 1e-3  # [-] of the turn of a latch
+TURNED = HALF, -HALF, 2 * HALF, math.sqrt(1.0 - 6 * HALF**2)
+
+
+def exerted(parameters: ContactParameters, place: tuple, twist: tuple) -> Array:
+    """(6,) wrench of a latch that holds the origin, at a pose (7,) and twist (6,)."""
+    out, hold = np.empty(6), np.array([0.0, 0, 0, 0, 0, 0, 1])
+    seen = np.array(place), np.array(twist), hold, np.zeros(STATES), np.empty((4, 7))
+    latch_wrench(parameters.row(), 1e-4, *seen, out)
+    return out
+
+
 def test_a_latch_that_turns_freely_bears_forces_alone() -> None:
-    hold, half = np.array([0.0, 0, 0, 0, 0, 0, 1]), 1e-3
-    pose = np.array([0.0, 0.0, 0.0, half, -half, 2 * half, math.sqrt(1.0 - 6 * half**2)])
-    twist = np.array([0.0, 0.0, 0.02, 0.1, 0.2, 0.3])
-
-    def exerted(ring: float) -> Array:
-        out = np.empty(6)
-        row = ContactParameters(1e5, 900.0, ring=ring).row()
-        latch_wrench(row, 1e-4, pose, twist, hold, np.zeros(STATES), np.empty((4, 7)), out)
-        return out
-
-    turn = 2.0 * math.asin(math.sqrt(6.0) * half) / math.sqrt(6.0) * np.array([1.0, -1.0, 2.0])
-    np.testing.assert_allclose(
-        exerted(1.0)[3:], LATCH_RADIUS**2 * (1e5 * turn + 900.0 * twist[3:]), rtol=1e-9
+    twist = 0.0, 0.0, 0.02, 0.1, 0.2, 0.3
+    bound, free = (
+        exerted(ContactParameters(1e5, 900.0, ring=ring), (0.0, 0.0, 0.0, *TURNED), twist)
+        for ring in (1.0, 0.0)
     )
-    np.testing.assert_array_equal(exerted(0.0), [0.0, 0.0, 900.0 * 0.02, 0.0, 0.0, 0.0])
+    turn = 2.0 * math.asin(math.sqrt(6.0) * HALF) / math.sqrt(6.0) * np.array([1.0, -1.0, 2.0])
+    expected = LATCH_RADIUS**2 * (1e5 * turn + 900.0 * np.array(twist[3:]))
+    np.testing.assert_allclose(bound[3:], expected, rtol=1e-9)
+    np.testing.assert_array_equal(free, [0.0, 0.0, 900.0 * 0.02, 0.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("variant", [{}, {"damper": "in series"}, {"damper": "whole rate"}])
@@ -153,20 +159,8 @@ def test_a_frame_gives_way_along_the_insertion_alone(variant: dict[str, str]) ->
     gives = ContactParameters(stiffness, 900.0).with_effects(
         [EFFECTS["frame.compliance"].hypothesis(variant, stiffness=frame)]
     )
-    hold, half = np.array([0.0, 0, 0, 0, 0, 0, 1]), 1e-3
-    across = (
-        np.array([2e-3, -1e-3, 0.0, half, -half, 2 * half, math.sqrt(1.0 - 6 * half**2)]),
-        np.array([0.01, 0.02, 0, 0.1, 0.2, 0.3]),
-    )
-    along = np.array([0.0, 0, 1e-3, 0, 0, 0, 1]), np.zeros(6)
-
-    def exerted(parameters: ContactParameters, pose: Array, twist: Array) -> Array:
-        out = np.empty(6)
-        latch_wrench(
-            parameters.row(), 1e-4, pose, twist, hold, np.zeros(STATES), np.empty((4, 7)), out
-        )
-        return out
-
+    across = (2e-3, -1e-3, 0.0, *TURNED), (0.01, 0.02, 0.0, 0.1, 0.2, 0.3)
+    along = (0.0, 0.0, 1e-3, 0.0, 0.0, 0.0, 1.0), (0.0,) * 6
     np.testing.assert_allclose(exerted(gives, *across), exerted(rigid, *across), rtol=1e-12)
     assert exerted(gives, *along)[2] == pytest.approx(
         stiffness * frame / (stiffness + frame) * 1e-3, rel=1e-9

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -14,7 +13,6 @@ from types import ModuleType
 import pytest
 
 import hiltestbed
-from hiltestbed import cli
 from hiltestbed.config.check import KINDS, json_schema
 from hiltestbed.effects import EFFECTS
 from hiltestbed.signals import GROUPS
@@ -53,7 +51,7 @@ def pages(reference: ModuleType) -> dict[str, str]:
     ids=[str(p.relative_to(ROOT)) for p in PAGES],
 )
 def test_the_blocks_of_a_page_run_one_after_the_other(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call
 ) -> None:
     """In one folder and one namespace, as a reader would type them; the numbers that a page shows
     below a command are those that it prints.
@@ -79,20 +77,11 @@ def test_the_blocks_of_a_page_run_one_after_the_other(
                     comments=True,
                 )
                 if arguments[0] not in OPEN:
-                    capsys.readouterr()
-                    assert status(arguments, monkeypatch) == 0, line
-                    printed = capsys.readouterr().out
+                    status, printed, _ = call(*arguments)
+                    assert status == 0, line
             elif not line.startswith("$"):
                 shown = re.findall(r"-?\d[\d.e+]*", line)
                 assert not [number for number in shown if number not in printed], line
-
-
-def status(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
-    """Exit status of a command in this process, where the loops are compiled."""
-    monkeypatch.setattr(sys, "argv", ["hiltestbed", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    return int(ended.value.code or 0)
 
 
 def described(schema: dict) -> Iterator[tuple[str, str]]:

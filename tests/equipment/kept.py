@@ -15,9 +15,7 @@ from hiltestbed.run_folder.versions import provenance
 
 
 def made_by() -> str:
-    """SHA-256 of the program that makes a record: its code, that of the test equipment, and the
-    versions of its dependencies.
-    """
+    """SHA-256 of what makes a record: package, test equipment and versions of dependencies."""
     seen = sha256(json.dumps(provenance(), sort_keys=True).encode())
     for file in sorted(Path(__file__).parent.rglob("*.py")):
         seen.update(file.read_bytes())

@@ -10,28 +10,16 @@ import pytest
 from hiltestbed import build, load_scenario
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.identification.methods.rls import Rls
+from tests.physics.closed_forms import bounce
 
 SCENARIO = "04-bumper-delay-compensated"
 K, C, MU, V0 = 1.0e5, 400.0, 400.0, 0.03
 
 
-def _bounce(rate: int, substeps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One bounce in closed form at ``substeps`` instants a tick: x, v, F, free at both ends."""
-    w, z = math.sqrt(K / MU), C / (2.0 * math.sqrt(K * MU))
-    wd = w * math.sqrt(1.0 - z * z)
-    t = np.arange(-0.05, 0.4, 1.0 / (rate * substeps))
-    decay = np.exp(-z * w * t)
-    x = np.where(t < 0, V0 * t, V0 / wd * decay * np.sin(wd * t))
-    v = np.where(t < 0, V0, V0 * decay * (np.cos(wd * t) - z * w / wd * np.sin(wd * t)))
-    force = np.maximum(K * x + C * v, 0.0) * (t >= 0)
-    end = np.argmax((force <= 0) & (t > 0.01))
-    x[end:], v[end:], force[end:] = x[end] + v[end] * (t[end:] - t[end]), v[end], 0.0
-    return x, v, force
-
-
 def _identify(scenarios, offset: float = 0.0) -> RecursiveLeastSquares:
     first = scenarios[0]
-    x, v, force = _bounce(int(first.rate), first.substeps)
+    t = np.arange(-0.05, 0.4, 1.0 / (first.rate * first.substeps))
+    x, v, force = bounce(K, C, MU, V0, t)
     n, m = len(scenarios), first.substeps
     sensor = build.sensors(scenarios)
     estimator = Rls.start(scenarios)

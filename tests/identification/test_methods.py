@@ -13,6 +13,7 @@ from hiltestbed.bench.identification import interval_coverage
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.identification.methods.comparison import HuntCrossleyFit, InstrumentVariables
 from hiltestbed.identification.settings import IDENTIFIERS
+from tests.physics.closed_forms import bounce as closed_form
 
 RESYNCHRONISED = {"kind": "resynchronised"}
 
@@ -55,15 +56,10 @@ def _stiffness_behind_a_lead(contact: BenchContact, lag: float) -> float:
     the contact, too.
     """
     w, z, tick = contact.w, contact.damping_ratio, 1.0 / RATE
-    wd = w * math.sqrt(1.0 - z**2)
+    lasts = math.pi / (w * math.sqrt(1.0 - z**2))
     # a touch lies anywhere between two ticks
-    t = np.arange(0.5 * tick, math.pi / wd + 2.0 * contact.delay, tick)
-    x = np.exp(-z * w * t) * np.sin(wd * t) / wd
-    v = np.exp(-z * w * t) * np.cos(wd * t) - z * w * x
-    force = w**2 * x + 2.0 * z * w * v
-    end = int(np.argmax(force < 0.0))
-    force[end:] = 0.0
-    x[end:], v[end:] = x[end] + v[end] * (t[end:] - t[end]), v[end]
+    t = np.arange(0.5 * tick, lasts + 2.0 * contact.delay, tick)
+    x, v, force = closed_form(w**2, 2.0 * z * w, 1.0, 1.0, t)
     late = np.concatenate([np.zeros(round(contact.delay / tick) + 1), force])[: len(t) + 1]
     lead = contact.delay + lag  # y + lag y' = u + lead u', by backward differences
     led = lfilter([1.0 + lead / tick, -lead / tick], [1.0 + lag / tick, -lag / tick], late)[1:]
@@ -175,13 +171,3 @@ def test_instruments_take_out_the_bias_of_a_noisy_pose() -> None:
         errors[kind] = abs(estimator.stiffness[0, 2] / 1e5 - 1.0)
     assert errors["rls"] == pytest.approx(0.037, rel=0.3)
     assert errors["instrumental"] < 0.01
-
-
-def test_a_method_in_a_batch_is_the_method_alone_bit_for_bit() -> None:
-    contacts = [BenchContact(4.0, 0.005, 0.05, seed=i) for i in range(5)]
-    for kind in ("rls", "rls_lead", "kalman", "hunt_crossley", "instrumental"):
-        together = bounce(
-            [c.scenario({"kind": "none"}, {"kind": kind}) for c in contacts]
-        ).loop.identification
-        alone = bounce([contacts[3].scenario({"kind": "none"}, {"kind": kind})]).loop.identification
-        assert np.array_equal(together.stiffness[3], alone.stiffness[0], equal_nan=True)

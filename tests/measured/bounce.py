@@ -41,9 +41,7 @@ compensation: {{force: {{kind: none}}, motion: {{kind: none}}}}
 def columns(
     rate: float = RATE, force_noise: float = 0.1, pose_noise: float = 1e-6, seed: int = 5
 ) -> dict[str, np.ndarray]:
-    """Column name to samples at ``rate`` [Hz] over DURATION, pose and measured wrench with white
-    noise of known size.
-    """
+    """Column name to samples at ``rate`` [Hz] over DURATION, with white noise of known size."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(DURATION * rate)) / rate
     force = STIFFNESS * np.maximum(_depth(t), 0.0)
@@ -82,9 +80,7 @@ def changed(group: str, factor: float, parts: str = "") -> Callable[[Table], Non
 def write_dataset(
     folder: Path, *tables: dict[str, Any], channels: str = "", files: tuple[str, ...] = ()
 ) -> Path:
-    """A dataset of Parquet files (or of ``files`` that are there already), with its scenario; the
-    path of dataset.yaml.
-    """
+    """The path of a dataset of Parquet files, or of ``files``, with its scenario beside it."""
     (folder / "nominal.yaml").write_text(SCENARIO)
     names = list(files)
     for index, table in enumerate(tables):

@@ -18,6 +18,7 @@ from hiltestbed.measured import MeasuredDataset, examine, load_dataset
 from hiltestbed.measured.noise import step_of
 from hiltestbed.measured.remark import Remark
 from tests.equipment.independent_rig import draw_set, write_set
+from tests.robustness.distortions import lost, rows, swapped_axes, w_first, without
 
 from . import bounce
 from .bounce import Table, changed
@@ -40,17 +41,6 @@ def _moved(name: str, by: float, faster: float = 0.0) -> Callable[[Table], None]
     return change
 
 
-def _w_first(table: Table) -> None:
-    for group in ("pose_cmd", "pose_act"):
-        x, y, z, w = (table[f"{group}.q{a}"] for a in "xyzw")
-        table |= {f"{group}.qx": w, f"{group}.qy": x, f"{group}.qz": y, f"{group}.qw": z}
-
-
-def _swap_axes(table: Table) -> None:
-    for group in ("wrench_meas", "wrench_comp"):
-        table[f"{group}.fx"], table[f"{group}.fz"] = table[f"{group}.fz"], table[f"{group}.fx"]
-
-
 def _without_lever(table: Table) -> None:
     table["wrench_meas.tx"] = 1e6 * (table["wrench_meas.tx"] + 1e-2 * table["wrench_meas.fz"])
 
@@ -63,14 +53,14 @@ MISTAKES = {  # a change of the data; of the error: its channel, words, and what
     "pose in mm": (changed("pose", 1e3, PLACE), "pose_act.pz", "another unit", "0.001"),
     "reached pose in mm": (changed("pose_act", 1e3, PLACE), "pose_act.px", "another unit", "0.001"),
     "pz that falls on the way in": (changed("pose", -1.0, "pz"), "pose_act.pz", "reversed", "-1"),
-    "quaternion w first": (_w_first, "pose_act.q*", "order is w, x, y, z", "exchange the columns"),
+    "quaternion w first": (w_first, "pose_act.q*", "order is w, x, y, z", "exchange the columns"),
     "quaternion in %": (
         changed("pose_act", 1e2, TURN),
         "pose_act.q*",
         "no unit quat",
         "check scale",
     ),
-    "force on another axis": (_swap_axes, "wrench_meas.fz", "swapped", "exchange the columns"),
+    "force on another axis": (swapped_axes, "wrench_meas.fz", "swapped", "exchange the columns"),
     "torque without lever": (_without_lever, "wrench_meas.tx", "lever arm", "0.001"),
     "time in ms": (changed("t", 1e3), "t", "lasts 599 s", "0.001"),
     "another speed": (
@@ -142,7 +132,7 @@ DRIVEN = {  # a change of the data; of the errors: channels and check
     "force of the other sign": (changed("wrench_meas", -1.0), ["wrench_meas.fz"], "sign"),
     "compensation turned": (changed("wrench_comp", -1.0), ["wrench_comp.fz"], "sign"),
     "force in kN": (changed("wrench", 1e-3), ["wrench_meas.fz", "wrench_comp.fz"], "unit"),
-    "force on another axis": (_swap_axes, ["wrench_meas.fz", "wrench_comp.fz"], "axes"),
+    "force on another axis": (swapped_axes, ["wrench_meas.fz", "wrench_comp.fz"], "axes"),
 }
 
 
@@ -178,35 +168,18 @@ def test_two_numbers_that_are_alike_on_coarse_steps_are_no_copy(tmp_path: Path) 
     assert [r for r in _examine(tmp_path, table).remarks if "a copy" in r.text]
 
 
-def _nan_stretch(table: Table) -> None:
-    table["wrench_meas.fz"][100:140] = np.nan
-
-
-def _nan_most(table: Table) -> None:
-    table["pose_act.pz"][:400] = np.nan
-
-
 def _clip(table: Table) -> None:
     table["wrench_meas.fz"] = np.minimum(table["wrench_meas.fz"], 0.7 * bounce.PEAK)
 
 
-def _no_comp(table: Table) -> None:
-    for name in [name for name in table if name.startswith("wrench_comp")]:
-        del table[name]
-
-
-def _no_contact(table: Table) -> None:
-    for name in table:
-        table[name] = table[name][:90]
-
-
+nan_stretch = lost("wrench_meas.fz", 100 / 600, 40)
 MISSING = "missing (NaN) in 40 of 600 samples, at most 40 in a row from 0.1 s"
 LOSSES = {
-    "missing samples": (_nan_stretch, "wrench_meas.fz", MISSING),
-    "mostly missing": (_nan_most, "pose_act.pz", "left out of this run"),
+    "missing samples": (nan_stretch, "wrench_meas.fz", MISSING),
+    "mostly missing": (lost("pose_act.pz", 0.0, 400), "pose_act.pz", "left out of this run"),
     "clipped": (_clip, "wrench_meas.fz", "clipped"),
-    "no compensated wrench": (_no_comp, "wrench_comp", "compensation and dynamics"),
-    "no contact": (_no_contact, "", "has no contact"),
+    "no compensated wrench": (without("wrench_comp"), "wrench_comp", "compensation and dynamics"),
+    "no contact": (rows(lambda n: np.arange(90)), "", "has no contact"),
 }
 
 
@@ -224,7 +197,7 @@ def test_a_loss_is_stated_and_does_not_stop(tmp_path: Path, case: str) -> None:
 
 def test_masks_mark_what_was_lost(tmp_path: Path) -> None:
     table = bounce.columns()
-    _nan_stretch(table)
+    nan_stretch(table)
     record = load_dataset(bounce.write_dataset(tmp_path, table)).runs[0].record
     assert np.flatnonzero(~record.measured("wrench_meas.fz")).tolist() == list(range(100, 140))
     assert np.isfinite(record.filled("wrench_meas")).all()

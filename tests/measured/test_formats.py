@@ -53,22 +53,16 @@ def test_the_unit_that_a_file_states_is_converted(tmp_path: Path, name: str) -> 
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_file_that_was_cut_short_is_refused(tmp_path: Path, name: str) -> None:
-    """Half a file, or any bytes under the suffix: an error that names the file, never a traceback
-    of the library.
+    """Half a file, any bytes under the suffix, or none: an error that names the file, never a
+    traceback of the library.
     """
     WRITERS[name](tmp_path / name, bounce.columns())
     whole = (tmp_path / name).read_bytes()
     cut = b"\x00\xff" * 400 if name.endswith("csv") else whole[: len(whole) // 2]
-    (tmp_path / name).write_bytes(cut)
-    with pytest.raises(InputError, match=name.replace(".", r"\.")):
-        load_dataset(bounce.write_dataset(tmp_path, files=(name,)))
-
-
-@pytest.mark.parametrize("name", WRITERS)
-def test_an_empty_file_is_refused(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).touch()
-    with pytest.raises(InputError, match="is empty"):
-        load_dataset(bounce.write_dataset(tmp_path, files=(name,)))
+    for content, said in ((cut, name.replace(".", r"\.")), (b"", "is empty")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=said):
+            load_dataset(bounce.write_dataset(tmp_path, files=(name,)))
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,7 @@ from hiltestbed.numerical_model.kernels import (
     carry,
     mobility,
     newton_euler,
-    solve,
     step,
-    wrench_at_A,
     wrench_at_P,
 )
 from hiltestbed.numerical_model.model import NumericalModel
@@ -94,18 +92,3 @@ def test_mobility_is_the_change_of_the_twist_by_a_wrench_at_A(craft: NumericalMo
     pushed.advance(at_P[None])
     change = (pushed.twist[0] - free.twist[0]) / 1e-6
     assert np.abs(change + matrix @ at_A).max() < 1e-6 * np.abs(change).max()
-
-
-def test_a_wrench_goes_there_and_back() -> None:
-    position, there, back = np.array([0.1, -0.2, 0.3]), np.empty(6), np.empty(6)
-    wrench_at_A(WRENCH, position, there)
-    assert np.allclose(there[3:], WRENCH[3:] - np.cross(position, WRENCH[:3]), rtol=0, atol=1e-12)
-    wrench_at_P(there, position, back)
-    assert np.allclose(back, WRENCH, rtol=0, atol=1e-12)
-
-
-def test_solve() -> None:
-    a = np.random.default_rng(1).normal(size=(6, 6))
-    matrix, x = a @ a.T + np.eye(6), WRENCH.copy()
-    solve(matrix, x, np.empty((6, 6)))
-    assert np.allclose(matrix @ x, WRENCH)

@@ -76,19 +76,6 @@ def test_the_relative_twist_is_the_derivative_of_the_relative_pose() -> None:
     np.testing.assert_allclose(turn.as_rotvec() * scenario.rate, craft.twist[0, 3:], atol=1e-6)
 
 
-def test_a_batch_of_any_size_takes_the_same_steps() -> None:
-    """Across the limit of runs that one Pinocchio model holds."""
-    scenario = load_scenario(SCENARIO)
-    wrench = np.array([[5.0, -3.0, 50.0, 1.0, 2.0, 0.5]])
-    one, many = NumericalModel([scenario]), NumericalModel([scenario] * 37)
-    for _ in range(20):
-        one.advance(wrench)
-        many.advance(np.repeat(wrench, 37, axis=0))
-    for i in (0, 15, 16, 36):
-        assert one.q[0].tobytes() == many.q[i].tobytes()
-        assert one.twist[0].tobytes() == many.twist[i].tobytes()
-
-
 def test_no_wrench_changes_the_momentum_of_the_pair() -> None:
     craft = NumericalModel([load_scenario(SCENARIO)])
     before = pair_momentum(craft.mass, craft.inertia, craft.q, craft.v)

@@ -26,6 +26,21 @@ def cor_at_zero_force(k: float, c: float, mu: float) -> float:
     return math.exp(-(z / s) * (math.pi - math.atan2(2.0 * z * s, 1.0 - 2.0 * z * z)))
 
 
+def bounce(
+    k: float, c: float, mu: float, speed: float, t: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Penetration, its rate and the force at times from the touch; free before it and after F = 0."""
+    w, z = math.sqrt(k / mu), c / (2.0 * math.sqrt(k * mu))
+    wd = w * math.sqrt(1.0 - z * z)
+    decay = np.exp(-z * w * t)
+    x = np.where(t < 0, speed * t, speed / wd * decay * np.sin(wd * t))
+    v = np.where(t < 0, speed, speed * decay * (np.cos(wd * t) - z * w / wd * np.sin(wd * t)))
+    force = np.maximum(k * x + c * v, 0.0) * (t >= 0)
+    end = int(np.argmax((force <= 0.0) & (t * wd > 0.5)))
+    x[end:], v[end:], force[end:] = x[end] + v[end] * (t[end:] - t[end]), v[end], 0.0
+    return x, v, force
+
+
 def cor_pure_delay(w: float, tau: float) -> float:
     """Coefficient of restitution of an undamped contact whose force arrives ``tau`` late.
 

@@ -159,8 +159,9 @@ def test_a_bumper_met_with_tilt_and_spin_and_a_latch_from_the_start_are_the_same
         "approach.offset": [0.05, 0.02],
         "duration": 0.8,
     }
-    for kind in ("bumper", "latched"):
-        changes = tilted | {"mechanism.kind": kind, "mechanism.contact.friction": 0.1}
+    far = {"approach.offset": [0.21, 0.21]}  # 0.3 m off the axis
+    for kind, more in (("bumper", {}), ("bumper", far), ("latched", {})):
+        changes = tilted | {"mechanism.kind": kind, "mechanism.contact.friction": 0.1} | more
         if kind == "latched":
             changes |= {
                 "approach.gap": -0.002,

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -26,24 +25,12 @@ from hiltestbed.plugins import Registry
 from hiltestbed.scenario import scenario_from
 from tests.diagnosis.made import SCALES, contact_link, effect, explained
 from tests.running import run
+from tests.scripts import CLI, program
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
 
 
 pytestmark = pytest.mark.usefixtures("tables_as_shipped")
-
-
-def command(
-    *arguments: str, cwd: Path | None = None, env: dict[str, str] | None = None
-) -> subprocess.CompletedProcess[str]:
-    """The command line in a process of its own, as a user runs it."""
-    return subprocess.run(
-        [sys.executable, "-m", "hiltestbed.cli", *arguments],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        env=env,
-    )
 
 
 def shipped(name: str, **changes: Any) -> hiltestbed.Scenario:
@@ -214,7 +201,7 @@ def test_an_installed_package_needs_no_option(
     env = os.environ | {
         "PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(hiltestbed.__file__).parents[1])])
     }
-    done = command("schema", env=env)
+    done = program(*CLI, "schema", env=env)
     assert done.returncode == 0, done.stderr
     assert '"contact.worn_pad"' in done.stdout
     assert '"contact.worn_pad"' not in call("schema")[1]
@@ -285,7 +272,7 @@ def test_a_run_that_a_plugin_made_says_which_one_it_needs(
     out = ("--set", "duration=0.3", "--no-rerun", "--out", str(folder))
     assert call("run", "03-bumper-delay-uncompensated", *given, *out)[0] == 0
     fresh = {key: value for key, value in os.environ.items() if key != plugins.ENVIRONMENT}
-    refused = command("compare", str(folder), str(folder), env=fresh)
+    refused = program(*CLI, "compare", str(folder), str(folder), env=fresh)
     assert refused.returncode == 2
     assert f"give --plugin {plugin}" in refused.stderr
     assert call("compare", str(folder), str(folder), "--plugin", str(plugin))[0] == 0

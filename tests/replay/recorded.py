@@ -117,9 +117,7 @@ def carried(scenarios: Sequence[Scenario]) -> tuple[list[Mechanism], Array, Runs
 
 
 def felt(recorded: Recorded) -> Felt:
-    """What the lanes of :func:`readings` share; under a servo the twist that the rig had is on
-    record, too.
-    """
+    """What the lanes of :func:`readings` share; under a servo with the twist of the rig."""
     first = recorded.scenarios[0]
     before = np.empty((len(recorded.scenarios), 7))
     for i in range(len(before)):
@@ -150,9 +148,7 @@ def lane(s: Scenario, run: int, effects: Sequence[Effect] | None = None) -> Lane
 def readings(
     recorded: Recorded, effects: Sequence[Effect] | None = None, shared: Felt | None = None
 ) -> Array:
-    """(R, N, 6) what contact and sensor make of the recorded poses, with the effects of each
-    scenario or with others.
-    """
+    """(R, N, 6) what contact and sensor make of the recorded poses, with any effects."""
     lanes = [lane(s, i, effects) for i, s in enumerate(recorded.scenarios)]
     grid = recorded.scenarios[0].substeps
     return replay_wrench(felt(recorded) if shared is None else shared, lanes, grid=grid)

@@ -38,9 +38,7 @@ MOTION = [{"kind": kind} | SETTINGS.get(kind, {}) for kind in MOTION_METHODS]
 
 
 def error(s: Scenario) -> float:
-    """Of the replayed wrench, over its peak, from no more of the record than the method says that
-    it needs.
-    """
+    """Of the replayed wrench, over its peak, from what the method says that it needs."""
     recorded = record([s])
     needed = needs(s.compensation, s.mechanism) - {"wrench_meas"}
     records = {

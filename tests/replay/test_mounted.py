@@ -35,9 +35,7 @@ def mount(
 
 
 def pushed(steps: int, time: float, leapfrog: bool) -> tuple[Array, Array]:
-    """Deflection and rate after ``time`` [s] under a constant wrench of 1e-3 N and N m, too small
-    to turn the axes.
-    """
+    """Deflection and rate after ``time`` [s] under a wrench too small to turn the axes."""
     q, qd, rate, last = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(LAST)
     for _ in range(steps):
         advance(mount(leapfrog=leapfrog), time / steps, np.full(6, 1e-3), q, qd, rate, last)
@@ -88,9 +86,7 @@ def test_a_force_that_begins_within_a_step_acts_for_the_part_that_is_left(part: 
 
 
 def refined(shared: Felt, s: Scenario) -> tuple[Callable[..., Array], Array]:
-    """The reading with so many times the steps, and that of steps of no length: their error falls
-    with the number of steps.
-    """
+    """The reading with so many times the steps, and with steps of no length."""
 
     def stepped(times: int, leapfrog: bool = False) -> Array:
         finer = replace(shared, substeps=times * s.substeps, leapfrog=leapfrog)

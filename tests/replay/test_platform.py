@@ -166,9 +166,7 @@ def test_of_two_responses_in_a_row_the_second_sees_the_first_bend_within_a_tick(
 
 
 def approaching(ticks: int = 300) -> tuple[Scenario, Array]:
-    """A scenario that approaches along z, and a command (1, N, 7) that brakes half way; row k is to
-    be reached at t_(k+1).
-    """
+    """A scenario that approaches along z, and a command (1, N, 7) a tick ahead that brakes."""
     s = scenario("bumper with friction")
     t = (1 + np.arange(ticks)) * s.tick
     along = np.array(s.approach.velocity)[:, None] * (

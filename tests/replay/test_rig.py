@@ -13,7 +13,13 @@ from hiltestbed.contact.mount_dynamics import MountDynamics, borne
 from hiltestbed.frames import Array
 from hiltestbed.replay import replay_rig
 from hiltestbed.replay.rig import RecordedForce
-from tests.replay.recorded import record, scenario
+from tests.replay.recorded import Recorded, record, scenario
+
+
+def path_of(recorded: Recorded, load: Array) -> Any:
+    """(N, 7) where the drives take the believed rig under a load (N, 6); None: out of its reach."""
+    command, rates, felt = (recorded[n][0] for n in ("pose_cmd", "twist_cmd", "wrench_meas"))
+    return replay_rig(recorded.scenarios[0], command, rates, load, felt)
 
 
 @pytest.mark.parametrize(
@@ -34,14 +40,7 @@ def test_it_goes_where_the_rig_went(rig: str, changes: dict[str, Any]) -> None:
     mm/s, which a drive of 40 Hz stops within 4 ms, 0.7 um on.
     """
     recorded = record([scenario(rig, "servo", changes)])
-    (s,) = recorded.scenarios
-    path = replay_rig(
-        s,
-        recorded["pose_cmd"][0],
-        recorded["twist_cmd"][0],
-        recorded["wrench_true"][0],
-        recorded["wrench_meas"][0],
-    )
+    path = path_of(recorded, recorded["wrench_true"][0])
     reached = recorded["pose_act"][0]
     assert np.abs(path[0] - reached[0]).max() < 1e-14
     assert np.abs(path - reached).max() < 7e-7
@@ -51,9 +50,7 @@ def test_it_goes_where_the_rig_went(rig: str, changes: dict[str, Any]) -> None:
 
 def test_a_force_that_throws_it_out_is_told() -> None:
     recorded = record([scenario("bumper with friction", "servo")])
-    (s,) = recorded.scenarios
-    shove = np.full_like(recorded["wrench_true"][0], 1e7)
-    assert replay_rig(s, recorded["pose_cmd"][0], None, shove, recorded["wrench_meas"][0]) is None
+    assert path_of(recorded, np.full_like(recorded["wrench_true"][0], 1e7)) is None
 
 
 def test_on_a_mount_it_bears_what_the_contact_exerts() -> None:
@@ -66,15 +63,12 @@ def test_on_a_mount_it_bears_what_the_contact_exerts() -> None:
     recorded = record([scenario("latched on a mount", "servo")])
     (s,) = recorded.scenarios
     felt = recorded["wrench_true"][0]
-
-    def missed(wrench: Array) -> float:
-        path = replay_rig(
-            s, recorded["pose_cmd"][0], recorded["twist_cmd"][0], wrench, recorded["wrench_meas"][0]
-        )
-        return float(np.abs(path - recorded["pose_act"][0]).max())
-
-    assert missed(borne(s.mechanism, s.tick, felt)) < 7e-7
-    assert missed(felt) > 1e-5
+    bears, feels = (
+        np.abs(path_of(recorded, load) - recorded["pose_act"][0]).max()
+        for load in (borne(s.mechanism, s.tick, felt), felt)
+    )
+    assert bears < 7e-7
+    assert feels > 1e-5
 
 
 def test_what_a_mount_bears_is_what_moves_it() -> None:

@@ -165,16 +165,6 @@ BAR = """<mujoco><worldbody><geom name="bar" type="box" size="0.16 0.02 0.02" po
 <site name="A"/></worldbody></mujoco>"""
 STOPS = """<mujoco><worldbody><geom name="one" type="box" size="0.02 0.02 0.02" pos="0.15 0 0.02" contype="1" conaffinity="1"/>
 <geom name="other" type="box" size="0.02 0.02 0.02" pos="-0.15 0 0.02" contype="1" conaffinity="1"/><site name="P"/></worldbody></mujoco>"""
-BOXES = """name: boxes
-duration: 0.2
-rate: 1000
-spacecraft:
-  chaser: {mass: 300.0, inertia: [60, 60, 60], port: {position: [0, 0, 0.8]}}
-  target: {mass: 900.0, inertia: [300, 300, 300], port: {position: [0, 0, -0.8]}}
-approach: {gap: 0.001, velocity: [0, 0, 0.05]}
-rig: {platform: {tracking: ideal}}
-mechanism: {kind: mjcf, active: active.xml, passive: passive.xml, pairs: [{active: bar, passive: "*", stiffness: 1.0e5, damping: 400.0}]}
-"""
 
 
 def test_boxes_that_collide_at_several_points_push_with_the_stiffness_of_their_pairs(
@@ -183,9 +173,13 @@ def test_boxes_that_collide_at_several_points_push_with_the_stiffness_of_their_p
     """On a path that nobody simulated, F = 2 (k x + c v): the law itself, k scaled as the effect
     asks.
     """
-    for name, text in (("active.xml", BAR), ("passive.xml", STOPS), ("boxes.yaml", BOXES)):
-        (tmp_path / name).write_text(text)
-    s = load_scenario(tmp_path / "boxes.yaml")
+    pair = {"active": "bar", "passive": "*", "stiffness": 1.0e5, "damping": 400.0}
+    mechanism: dict[str, Any] = {"kind": "mjcf", "pairs": [pair]}
+    for name, text in (("active", BAR), ("passive", STOPS)):
+        mechanism[name] = str(tmp_path / f"{name}.xml")
+        (tmp_path / f"{name}.xml").write_text(text)
+    keys = {"mechanism": mechanism, "rig.platform.tracking": "ideal", "approach.gap": 0.001}
+    s = load_scenario("02-bumper", keys | {"rate": 1000, "physics_rate": 2000})
     t = np.arange(150) * s.tick
     depth = 1e-3 * np.sin(2.0 * np.pi * 5.0 * t) ** 2 + 1e-4
     poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (1, len(t), 1))

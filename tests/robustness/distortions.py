@@ -14,10 +14,9 @@ from typing import Literal
 import numpy as np
 
 from hiltestbed.signals import GROUPS
+from tests.measured.bounce import Table, changed
 
-Table = dict[str, np.ndarray]
 Verdict = Literal["refused", "remarked"]
-POSES, WRENCHES = ("pose_cmd", "pose_act"), ("wrench_meas", "wrench_comp")
 LENGTHS = {
     "mm": 1e3,
     "cm": 1e2,
@@ -41,23 +40,11 @@ FORCES = {
 
 @dataclass(frozen=True)
 class Distortion:
-    """A change of a record; check: key of the dataset's `accept` whose check refuses it, empty for
-    another error or a remark.
-    """
+    """A change of a record; check: the `accept` key of the check that refuses it, if one does."""
 
     apply: Callable[[Table], None]
     verdict: Verdict = "refused"
     check: str = ""
-
-
-def _scaled(groups: tuple[str, ...], parts: str, factor: float) -> Callable[[Table], None]:
-    def change(table: Table) -> None:
-        for group in groups:
-            for part in parts.split():
-                if f"{group}.{part}" in table:
-                    table[f"{group}.{part}"] = factor * table[f"{group}.{part}"]
-
-    return change
 
 
 def _pairs(first: str, second: str) -> list[tuple[str, str]]:
@@ -83,6 +70,11 @@ def _each(*changes: Callable[[Table], None]) -> Callable[[Table], None]:
     return change
 
 
+swapped_axes = _each(
+    _exchanged("wrench_meas.fx", "wrench_meas.fz"), _exchanged("wrench_comp.fx", "wrench_comp.fz")
+)
+
+
 def _copied(source: str, target: str) -> Callable[[Table], None]:
     def change(table: Table) -> None:
         for a, b in _pairs(source, target):
@@ -103,9 +95,7 @@ def _held(*names: str) -> Callable[[Table], None]:
 
 
 def _shifted(group: str, rows: int) -> Callable[[Table], None]:
-    """A group delayed by `rows` in the record (advanced if negative), with constant values at the
-    ends.
-    """
+    """A group delayed by `rows` in the record (advanced if negative), constant at the ends."""
 
     def change(table: Table) -> None:
         for column in [c for c in table if c.startswith(group + ".")]:
@@ -115,7 +105,7 @@ def _shifted(group: str, rows: int) -> Callable[[Table], None]:
     return change
 
 
-def _without(*groups: str) -> Callable[[Table], None]:
+def without(*groups: str) -> Callable[[Table], None]:
     def change(table: Table) -> None:
         for column in [c for c in table if c.rpartition(".")[0] in groups]:
             del table[column]
@@ -123,7 +113,7 @@ def _without(*groups: str) -> Callable[[Table], None]:
     return change
 
 
-def _lost(name: str, start: float, rows: int) -> Callable[[Table], None]:
+def lost(name: str, start: float, rows: int) -> Callable[[Table], None]:
     """A column with `rows` NaN samples, from the fraction `start` of the record on."""
 
     def change(table: Table) -> None:
@@ -134,7 +124,7 @@ def _lost(name: str, start: float, rows: int) -> Callable[[Table], None]:
     return change
 
 
-def _rows(keep: Callable[[int], np.ndarray]) -> Callable[[Table], None]:
+def rows(keep: Callable[[int], np.ndarray]) -> Callable[[Table], None]:
     def change(table: Table) -> None:
         kept = keep(len(table["t"]))
         for column in table:
@@ -147,8 +137,8 @@ def _gap(n: int) -> np.ndarray:
     return np.delete(np.arange(n), n // 2)
 
 
-def _w_first(table: Table) -> None:
-    for group in POSES:
+def w_first(table: Table) -> None:
+    for group in ("pose_cmd", "pose_act"):
         x, y, z, w = (table[f"{group}.q{a}"] for a in "xyzw")
         table |= {f"{group}.qx": w, f"{group}.qy": x, f"{group}.qz": y, f"{group}.qw": z}
 
@@ -161,38 +151,30 @@ def _nothing_but_nan(table: Table) -> None:
 
 DISTORTIONS: dict[str, Distortion] = {
     "nothing but NaN": Distortion(_nothing_but_nan),
-    "force nothing but NaN": Distortion(_lost("wrench_meas.fz", 0.0, 10**9), "remarked"),
-    "two rows": Distortion(_rows(lambda n: np.arange(2))),
-    "force alone": Distortion(_without("pose_cmd", "pose_act", "wrench_comp"), "remarked"),
-    "no poses": Distortion(_without("pose_cmd", "pose_act"), "remarked"),
-    "one sample of the force missing": Distortion(_lost("wrench_meas.fz", 0.5, 1), "remarked"),
+    "force nothing but NaN": Distortion(lost("wrench_meas.fz", 0.0, 10**9), "remarked"),
+    "two rows": Distortion(rows(lambda n: np.arange(2))),
+    "force alone": Distortion(without("pose_cmd", "pose_act", "wrench_comp"), "remarked"),
+    "no poses": Distortion(without("pose_cmd", "pose_act"), "remarked"),
+    "one sample of the force missing": Distortion(lost("wrench_meas.fz", 0.5, 1), "remarked"),
     "one sample of the compensated force missing": Distortion(
-        _lost("wrench_comp.fz", 0.5, 1), "remarked"
+        lost("wrench_comp.fz", 0.5, 1), "remarked"
     ),
-    "one sample of the pose missing": Distortion(_lost("pose_act.pz", 0.5, 1), "remarked"),
-    "a gap of one row": Distortion(_rows(_gap), "remarked"),
-    "first row five ticks late": Distortion(_rows(lambda n: np.arange(5, n)), "remarked"),
-    "rows in the other order": Distortion(_rows(lambda n: np.arange(n)[::-1])),
+    "one sample of the pose missing": Distortion(lost("pose_act.pz", 0.5, 1), "remarked"),
+    "a gap of one row": Distortion(rows(_gap), "remarked"),
+    "first row five ticks late": Distortion(rows(lambda n: np.arange(5, n)), "remarked"),
+    "rows in the other order": Distortion(rows(lambda n: np.arange(n)[::-1])),
     "time in ms": Distortion(lambda table: table.update(t=1e3 * table["t"])),
-    "quaternion w first": Distortion(_w_first, check="attitude"),
-    "force of the other sign": Distortion(
-        _scaled(WRENCHES, "fx fy fz tx ty tz", -1.0), check="sign"
-    ),
-    "force along z of the other sign": Distortion(_scaled(WRENCHES, "fz", -1.0), check="sign"),
+    "quaternion w first": Distortion(w_first, check="attitude"),
+    "force of the other sign": Distortion(changed("wrench", -1.0), check="sign"),
+    "force along z of the other sign": Distortion(changed("wrench", -1.0, "fz"), check="sign"),
     "measured force of the other sign": Distortion(
-        _scaled(("wrench_meas",), "fz", -1.0), check="sign"
+        changed("wrench_meas", -1.0, "fz"), check="sign"
     ),
     "compensated force of the other sign": Distortion(
-        _scaled(("wrench_comp",), "fz", -1.0), check="sign"
+        changed("wrench_comp", -1.0, "fz"), check="sign"
     ),
-    "pz of the other sign": Distortion(_scaled(POSES, "pz", -1.0), check="sign"),
-    "fx and fz exchanged": Distortion(
-        _each(
-            _exchanged("wrench_meas.fx", "wrench_meas.fz"),
-            _exchanged("wrench_comp.fx", "wrench_comp.fz"),
-        ),
-        check="axes",
-    ),
+    "pz of the other sign": Distortion(changed("pose", -1.0, "pz"), check="sign"),
+    "fx and fz exchanged": Distortion(swapped_axes, check="axes"),
     "measured fy and fz exchanged": Distortion(
         _exchanged("wrench_meas.fy", "wrench_meas.fz"), check="axes"
     ),
@@ -216,24 +198,24 @@ DISTORTIONS: dict[str, Distortion] = {
     "pose_cmd three rows early": Distortion(_shifted("pose_cmd", -3), check="shift"),
     "pose_act five rows late": Distortion(_shifted("pose_act", 5), check="shift"),
     "pose_act five rows late, without wrench_comp": Distortion(
-        _each(_shifted("pose_act", 5), _without("wrench_comp")), check="shift"
+        _each(_shifted("pose_act", 5), without("wrench_comp")), check="shift"
     ),
     "wrench_meas five rows late": Distortion(_shifted("wrench_meas", 5), "remarked"),
     "wrench_meas five rows late, without wrench_comp": Distortion(
-        _each(_shifted("wrench_meas", 5), _without("wrench_comp")), "remarked"
+        _each(_shifted("wrench_meas", 5), without("wrench_comp")), "remarked"
     ),
     "pose_act five rows early": Distortion(_shifted("pose_act", -5), check="shift"),
     "wrench_comp three rows late": Distortion(_shifted("wrench_comp", 3), check="shift"),
     "wrench_comp ten rows early": Distortion(_shifted("wrench_comp", -10), check="shift"),
     "wrench_meas five rows early": Distortion(_shifted("wrench_meas", -5), check="shift"),
     **{
-        f"{what} in {unit}": Distortion(_scaled(groups, parts, factor), check="unit")
-        for what, groups, parts, units in (
-            ("pose", POSES, "px py pz", LENGTHS),
-            ("reached pose", ("pose_act",), "px py pz", LENGTHS),
-            ("force", WRENCHES, "fx fy fz tx ty tz", FORCES),
-            ("measured force", ("wrench_meas",), "fx fy fz", FORCES),
-            ("compensated force", ("wrench_comp",), "fx fy fz", FORCES),
+        f"{what} in {unit}": Distortion(changed(group, factor, parts), check="unit")
+        for what, group, parts, units in (
+            ("pose", "pose", "px py pz", LENGTHS),
+            ("reached pose", "pose_act", "px py pz", LENGTHS),
+            ("force", "wrench", "", FORCES),
+            ("measured force", "wrench_meas", "fx fy fz", FORCES),
+            ("compensated force", "wrench_comp", "fx fy fz", FORCES),
         )
         for unit, factor in units.items()
     },

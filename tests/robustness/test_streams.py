@@ -21,6 +21,7 @@ from hiltestbed.run_folder.store import refuse_foreign, whole_folder, write_run
 from hiltestbed.scenario import load_scenario
 from tests.robustness.test_world import BUMPER
 from tests.running import run
+from tests.scripts import CLI, program
 
 HOSTILE = "\x1b]0;owned\a \x9b31m \u202e \x7f \udcff"
 
@@ -125,11 +126,8 @@ def test_a_working_folder_that_is_gone(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_a_limit_of_memory_is_named() -> None:
     size = 300_000_000
-    done = subprocess.run(
-        [sys.executable, "-m", "hiltestbed.cli", "check", str(BUMPER)],
-        capture_output=True,
-        text=True,
-        timeout=300,
+    done = program(
+        *(*CLI, "check", str(BUMPER)),
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (size, size)),
     )
     assert done.returncode == 1

@@ -7,7 +7,6 @@ import hashlib
 import os
 import resource
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from hiltestbed.process.workers import Workers
 from hiltestbed.run_folder.store import write_run
 from hiltestbed.scenario import load_scenario
 from hiltestbed.simulation import run
+from tests.scripts import CLI, program
 from tests.slow import SLOW, slow
 
 BUMPER = shipped("scenarios") / "02-bumper.yaml"
@@ -29,23 +29,6 @@ LANGUAGES = {
     "ascii": {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"},
     "unknown": {"LANG": "xx_XX"},
 }
-
-
-def start(
-    *arguments: str,
-    env: dict[str, str] | None = None,
-    before: Callable[[], None] | None = None,
-    **more,
-) -> subprocess.Popen:
-    order = [sys.executable, "-m", "hiltestbed.cli", *arguments]
-    return subprocess.Popen(
-        order, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=env, preexec_fn=before, **more
-    )
-
-
-def ended(process: subprocess.Popen, seconds: float = 300.0) -> tuple[int, str, str]:
-    out, err = process.communicate(timeout=seconds)
-    return process.returncode, out.decode(errors="replace"), err.decode(errors="replace")
 
 
 def short(folder: Path, *more: str) -> list[str]:
@@ -65,10 +48,9 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, size: int) -> N
     """The trace does not fit; and, of a run with a recording, the recording alone."""
     order = short(tmp_path / "r", "--set", "duration=0.4")
     order.remove("--no-rerun")
-    status, _, err = ended(start(*order, before=_small_files(size)), 120)
-    assert status == 1
-    assert "Traceback" not in err
-    assert "File too large" in err
+    done = program(*CLI, *order, preexec_fn=_small_files(size))
+    assert (done.returncode, "Traceback" in done.stderr) == (1, False)
+    assert "File too large" in done.stderr
     assert list(tmp_path.iterdir()) == []
 
 
@@ -82,12 +64,11 @@ def test_no_home_no_locale_and_forty_columns(tmp_path: Path, language: str) -> N
     scenario = BUMPER.read_text().replace("name: ", "name: ß→µ ")
     (tmp_path / "s.yaml").write_text(scenario, encoding="utf-8")
     order = ["run", str(tmp_path / "s.yaml"), *short(tmp_path / "r")[2:]]
-    status, out, err = ended(start(*order, env=env))
-    assert (status, "Traceback" in err) == (0, False), err
-    assert out
     files = str(tmp_path / "r" / "scenario.yaml"), str(tmp_path / "none.yaml")
-    status, _, err = ended(start("check", *files, env=env))
-    assert (status, "Traceback" in err) == (2, False)
+    for status, arguments in ((0, order), (2, ["check", *files])):
+        done = program(*CLI, *arguments, env=env)
+        assert (done.returncode, "Traceback" in done.stderr) == (status, False), done.stderr
+        assert done.stdout
 
 
 NOISY = {"duration": 0.2, "sensor.noise": 0.5, "seed": 11}
@@ -104,8 +85,7 @@ def test_same_seed_same_bytes(tmp_path: Path, kernels: str) -> None:
         env[VARIABLE] = str(tmp_path / "kernels")
     sets = [word for key, value in NOISY.items() for word in ("--set", f"{key}={value}")]
     order = ["run", str(BUMPER), *sets, "--no-rerun", "--out", str(elsewhere / "r")]
-    status, _, err = ended(start(*order, env=env, cwd=elsewhere), 590)
-    assert status == 0, err
+    program(*CLI, *order, env=env, cwd=elsewhere, timeout=590, check=True)
     here = write_run(run(load_scenario(BUMPER, NOISY)), tmp_path / "here", rerun=False)
     assert _sha(elsewhere / "r" / "trace.parquet") == _sha(here / "trace.parquet")
 

@@ -9,19 +9,27 @@ import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 
+from hiltestbed.campaign.schema import load_campaign
+from hiltestbed.campaign.sweep import case_scenario
+from hiltestbed.config.check import json_schema, look_at
+from hiltestbed.config.gallery import shipped
+from hiltestbed.config.yaml_source import dump_yaml, read_source
+from hiltestbed.devices import rdt_page, rtde_wire
+from hiltestbed.devices.layout import WireRecord, default_layout
+from hiltestbed.devices.rsi import Odd, RsiSettings, read_telegram
 from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.measured.formats import read_columns
+from hiltestbed.scenario import scenario_from
 from hiltestbed.signals import GROUPS
+from hiltestbed.simulation import run
 from tests.measured import bounce
 from tests.measured.data_files import WRITERS
 from tests.robustness.values import value_of
-
-if TYPE_CHECKING:
-    from hiltestbed.config.check import Kind
 
 SURVIVED, REFUSED, REMARKED = "survived", "refused", "remarked"
 Trial = Callable[[Generator, Path], str]
@@ -29,18 +37,11 @@ MOST_TICKS, MOST_INSTANTS = 600, 12_000  # limits of a scenario that is run, to 
 ROWS = 40
 
 
-@cache
-def _schema(kind: Kind) -> dict[str, Any]:
-    from hiltestbed.config.check import json_schema
-
-    return json_schema(kind)
+_schema = cache(json_schema)
 
 
 def _shipped(rng: Generator) -> dict[str, Any]:
     """The data of a random shipped scenario."""
-    from hiltestbed.config.gallery import shipped
-    from hiltestbed.config.yaml_source import read_source
-
     files = sorted(shipped("scenarios").glob("*.yaml"))
     return read_source(files[int(rng.integers(len(files)))]).data
 
@@ -52,9 +53,6 @@ def scenario(rng: Generator, folder: Path) -> str:
 
 def _ended(data: dict[str, Any]) -> str:
     """How a short run of the scenario ends."""
-    from hiltestbed.scenario import scenario_from
-    from hiltestbed.simulation import run
-
     try:
         given = scenario_from(data)
         if given.ticks > MOST_TICKS or given.ticks * given.substeps > MOST_INSTANTS:
@@ -99,9 +97,6 @@ def _stretch(node: Any, rng: Generator) -> None:
 
 def text(rng: Generator, folder: Path) -> str:
     """A scenario file with some bytes changed."""
-    from hiltestbed.config.check import look_at
-    from hiltestbed.config.gallery import shipped
-
     files = sorted(shipped("scenarios").glob("*.yaml"))
     path = folder / "text.yaml"
     data = files[int(rng.integers(len(files)))].read_bytes()
@@ -120,9 +115,6 @@ def _mistyped(data: bytes, rng: Generator) -> bytes:
 
 def dataset(rng: Generator, folder: Path) -> str:
     """A random dataset file from its schema, mostly with an existing scenario and files."""
-    from hiltestbed.config.check import look_at
-    from hiltestbed.config.yaml_source import dump_yaml
-
     if not (folder / "nominal.yaml").exists():
         bounce.write_dataset(folder, bounce.columns())
     data = value_of(_schema("dataset"), rng)
@@ -140,8 +132,6 @@ def dataset(rng: Generator, folder: Path) -> str:
 
 def data_file(rng: Generator, folder: Path) -> str:
     """A data file of one of the formats with some bytes changed."""
-    from hiltestbed.measured.formats import read_columns
-
     name = list(WRITERS)[int(rng.integers(len(WRITERS)))]
     path = folder / name
     path.write_bytes(mutated(_seed_file(name), rng))
@@ -166,10 +156,6 @@ def _seed_file(name: str) -> bytes:
 
 def campaign(rng: Generator, folder: Path) -> str:
     """A random campaign file with a shipped scenario; its first case is made if it is valid."""
-    from hiltestbed.campaign.schema import load_campaign
-    from hiltestbed.campaign.sweep import case_scenario
-    from hiltestbed.config.yaml_source import dump_yaml
-
     data = value_of(_schema("campaign"), rng)
     if not isinstance(data, dict):
         data = {}
@@ -217,10 +203,6 @@ def campaign(rng: Generator, folder: Path) -> str:
 
 def packet(rng: Generator, folder: Path) -> str:
     """Valid messages with some bytes changed, for the parsers of the device protocols."""
-    from hiltestbed.devices import rdt_page, rtde_wire
-    from hiltestbed.devices.layout import WireRecord, default_layout
-    from hiltestbed.devices.rsi import Odd, RsiSettings, read_telegram
-
     which = int(rng.integers(4))
     if which == 0:
         record = WireRecord(default_layout(), "sensor")

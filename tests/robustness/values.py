@@ -54,9 +54,7 @@ def value_of(
 
 
 def number(schema: Mapping[str, Any], rng: Generator) -> float:
-    """A random number within the limits of ``schema``: a limit or 0, or between the limits, often
-    on a logarithmic scale.
-    """
+    """A number within the limits of ``schema``: a limit or 0, or in between, often logarithmic."""
     low = schema.get("minimum", schema.get("exclusiveMinimum", -LARGEST))
     high = schema.get("maximum", schema.get("exclusiveMaximum", LARGEST))
     if rng.random() < 0.15:

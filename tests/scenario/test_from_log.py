@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
 from hiltestbed.axis.dataset import load_axis
-from hiltestbed.cli.program import app
 from hiltestbed.config.check import look_at
 from hiltestbed.config.from_log import write_from_log
 from hiltestbed.errors import InputError
@@ -137,13 +135,9 @@ def test_joints_by_number_are_named_so_and_the_check_lists_those_of_the_model() 
     assert "its joints of one axis are shoulder, elbow" in look_at("two.yaml").faults[0].message
 
 
-def test_one_joint_is_a_single_axis() -> None:
-    found = write_from_log("one", log(t=SERVO.t, q1=ANGLES["elbow"], tau1=ANGLES["elbow"]))
-    assert found.kind == "axis: drive"
-
-
-def test_position_and_force_along_two_axes_are_no_joints() -> None:
+def test_neither_one_joint_nor_two_directions_are_an_arm() -> None:
     q = ANGLES["elbow"]
+    assert write_from_log("one", log(t=SERVO.t, q1=q, tau1=q)).kind == "axis: drive"
     found = write_from_log("bench", log(t=SERVO.t, pos_x=q, pos_y=q, force_x=q, force_y=q))
     assert found.kind != "axis: arm"
 
@@ -290,11 +284,11 @@ def test_nothing_is_overwritten() -> None:
     assert Path("arm.yaml").read_text() == "mine"
 
 
-def test_the_command_says_what_it_wrote(tmp_path: Path) -> None:
+def test_the_command_says_what_it_wrote(call) -> None:
     path = log(t=SERVO.t, cmd=SERVO.u, position=SERVO.y)
-    found = CliRunner().invoke(app, ["new", "arm", "--from", str(path[0]), "--json"])
-    assert found.exit_code == 0
-    assert json.loads(found.stdout) == {
+    status, out, _ = call("new", "arm", "--from", str(path[0]), "--json")
+    assert status == 0
+    assert json.loads(out) == {
         "file": "arm.yaml",
         "files": ["arm.yaml"],
         "kind": "axis: servo",

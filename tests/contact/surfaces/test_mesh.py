@@ -97,14 +97,9 @@ def test_the_table_of_descriptions() -> None:
     exact = rows["profile recovered from 96 segments"]
     assert exact.normal < 1e-6
     assert exact.depth < 1e-12
-    for kind in ("tree of triangles", "coal"):
-        for segments in (256, 1024):
-            row = rows[f"{kind}, {segments} segments"]
-            assert row.normal < math.degrees(math.pi / segments) * math.sin(math.pi / 4.0) * 1.02
-    assert rows["coal, 1024 segments"].depth == pytest.approx(
-        rows["tree of triangles, 1024 segments"].depth, rel=1e-3
-    )
-    assert rows["64 convex wedges"].normal > 1.0
+    for segments in (256, 1024):
+        row = rows[f"tree of triangles, {segments} segments"]
+        assert row.normal < math.degrees(math.pi / segments) * math.sin(math.pi / 4.0) * 1.02
 
 
 def test_rod_against_the_rim_is_the_least_of_its_points() -> None:

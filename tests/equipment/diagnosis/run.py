@@ -82,9 +82,7 @@ def diagnosis(
 def _diagnosed(
     waiting: list[Task], workers: int, until: float
 ) -> Iterator[tuple[int, dict[str, Any] | None]]:
-    """Number of sets left, and the record of each that ends, or None at a poll without one. Sets in
-    progress at ``until`` are abandoned.
-    """
+    """Number of sets left with each record, None at a poll without; abandoned at ``until``."""
     pool, running = Workers(workers), set[Future[dict[str, Any]]]()
     try:
         while (waiting or running) and time.monotonic() < until:
@@ -180,9 +178,7 @@ def judged_right(
 
 
 def coverage(hidden: Sequence[dict[str, Any]], causes: Sequence[Any]) -> tuple[int, int]:
-    """Number of true parameters within their intervals, and number of parameters estimated for
-    correctly named effects.
-    """
+    """Number of true parameters within their intervals, and of those that were estimated."""
     held = asked = 0
     for effect in hidden:
         for cause in causes:

@@ -85,9 +85,7 @@ def groups(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def rig_of(record: dict[str, Any]) -> str:
-    """The rig of a set: its noise and strength if that is not white, else its design or its way of
-    computing.
-    """
+    """The rig of a set: its noise if that is not white, else its design or its way of computing."""
     if record["noise"]:
         return "{} {:g}".format(*record["noise"])
     return record["design" if record["computing"] == "plain" else "computing"]
@@ -134,9 +132,7 @@ EDGES = (0.0, 0.5, 0.8, 0.95, 0.99, 1.0)
 
 
 def reliability(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row per range of stated probabilities: `low`, `high`, `stated` (mean), `right` and
-    `causes` (numbers of first causes).
-    """
+    """A row per range of stated probabilities: `low`, `high`, `stated`, `right` and `causes`."""
     first_causes = []
     for r in records:
         truth = {e["kind"] for e in r["hidden"]}
@@ -171,8 +167,6 @@ def reliability_plot(rows: Sequence[dict[str, Any]]) -> Figure:
 
 
 def wilson(right: int, count: int) -> tuple[float, float]:
-    """95 % interval of a probability from ``right`` successes in ``count`` trials (E. B. Wilson,
-    1927).
-    """
+    """95 % interval of a probability from successes in ``count`` trials (E. B. Wilson, 1927)."""
     found = binomtest(right, count).proportion_ci(method="wilson")
     return float(found.low), float(found.high)

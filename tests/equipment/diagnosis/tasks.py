@@ -131,9 +131,7 @@ def noise_tasks(counts: Mapping[str, int]) -> list[Task]:
 
 
 def computing_tasks(counts: Mapping[str, int]) -> list[Task]:
-    """Sets of a bumper whose facility divides its ticks, samples and stamps in randomly drawn
-    ways.
-    """
+    """Sets of a bumper whose facility divides, samples and stamps its ticks in other ways."""
     each: list[tuple[Computing, str, int]] = [
         (way, kind, i) for way in WAYS for kind, i in _each(counts)
     ]
@@ -144,9 +142,7 @@ def computing_tasks(counts: Mapping[str, int]) -> list[Task]:
 
 
 def plan(quick: bool, parts: Sequence[str] = ()) -> list[Task]:
-    """The sets of the given ``parts`` (docking, noise, computing), by default those of the bumper
-    and of dockings.
-    """
+    """The sets of the ``parts`` (docking, noise, computing), by default of bumper and dockings."""
     out = [] if parts else tasks(QUICK if quick else FULL, not quick)
     if not parts or "docking" in parts:
         out += docking_tasks(DOCKING_QUICK if quick else DOCKING_FULL)

@@ -26,13 +26,12 @@ One run by hand:
 """
 
 from tests.equipment.independent_rig.closed_loop import simulate
-from tests.equipment.independent_rig.compensation import METHODS
 from tests.equipment.independent_rig.docking_facility import DockingFacility, draw_docking_facility
 from tests.equipment.independent_rig.facility import Facility, draw_facility
 from tests.equipment.independent_rig.foreign import FOREIGN, foreign_in
 from tests.equipment.independent_rig.generation import PLAIN, link_of, rig_of, with_effect
 from tests.equipment.independent_rig.hidden import EFFECTS
-from tests.equipment.independent_rig.links import Records, silence
+from tests.equipment.independent_rig.links import silence
 from tests.equipment.independent_rig.log import Log, write_set
 from tests.equipment.independent_rig.look_alikes import LOOK_ALIKES, draw_look_alike
 from tests.equipment.independent_rig.noise_kinds import NOISE_KINDS
@@ -46,7 +45,6 @@ __all__ = [
     "EFFECTS",
     "FOREIGN",
     "LOOK_ALIKES",
-    "METHODS",
     "NEEDS",
     "NOISE_KINDS",
     "PLAIN",
@@ -56,7 +54,6 @@ __all__ = [
     "HiddenSet",
     "Log",
     "Nuisances",
-    "Records",
     "acting_in",
     "alike",
     "docking_rig",

@@ -28,9 +28,7 @@ W, AQ, AV = slice(10, 13), slice(13, 16), slice(16, 19)
 
 
 class Bodies(NamedTuple):
-    """The parameters of the numerical model; the first array axis is chaser, target. SI, body
-    axes.
-    """
+    """The parameters of both bodies, chaser and target along the first axis. SI, body axes."""
 
     mass: np.ndarray  # (2,)
     inertia: np.ndarray  # (2, 3, 3)
@@ -53,9 +51,7 @@ class Bodies(NamedTuple):
 
 @njit(cache=True)
 def _accelerate(bodies, state, force, torque, b, h, t, origin):
-    """The twist of body `b` after a tick under a force and a torque about its centre of mass
-    (world).
-    """
+    """The twist of body `b` after a tick under a force and a torque about its centre (world)."""
     mass = bodies.mass[b]
     if b == CHASER:
         mass = mass * (1.0 + bodies.mass_rate * t)
@@ -72,16 +68,6 @@ def _accelerate(bodies, state, force, torque, b, h, t, origin):
     momentum = times(bodies.inertia[b], state[b, W])
     inside = times(matrix(inverse(state[b, Q])), torque)
     state[b, W] += h * times(bodies.compliance[b], inside - cross(state[b, W], momentum))
-
-
-@njit(cache=True)
-def _move(state, old, h):
-    """Positions and attitudes of both bodies with the twists in `old`."""
-    for b in range(2):
-        state[b, R] += h * old[b, V]
-        state[b, AQ] += h * old[b, AV]
-        q = product(state[b, Q], turn(h * old[b, W]))
-        state[b, Q] = q / np.sqrt(np.sum(q * q))
 
 
 @njit(cache=True)
@@ -102,7 +88,12 @@ def step(bodies, state, wrench, h, t, origin):
     if bodies.old_part > 0.0 and not bodies.explicit:
         for b in range(2):
             new[b, 7:] += bodies.old_part * (old[b, 7:] - new[b, 7:])
-    _move(state, old if bodies.explicit else new, h)
+    twist = old if bodies.explicit else new
+    for b in range(2):
+        state[b, R] += h * twist[b, V]
+        state[b, AQ] += h * twist[b, AV]
+        q = product(state[b, Q], turn(h * twist[b, W]))
+        state[b, Q] = q / np.sqrt(np.sum(q * q))
 
 
 @njit(cache=True)
@@ -119,9 +110,7 @@ def relative_pose(bodies, state):
 
 
 def start(bodies: Bodies, approach: dict) -> tuple[np.ndarray, np.ndarray]:
-    """State (2, 19) and relative pose (7,) at t = 0: the target at rest, the ports at the relative
-    pose given by `approach`.
-    """
+    """State (2, 19) and relative pose (7,) at t = 0, as `approach` says; the target is at rest."""
     position = np.array([*approach["offset"], -approach["gap"]], dtype=float)
     attitude = from_attitude(approach["attitude_deg"])
     rate = np.radians(np.array(approach["rate_deg"], dtype=float))
@@ -144,7 +133,10 @@ def start(bodies: Bodies, approach: dict) -> tuple[np.ndarray, np.ndarray]:
 def from_scenario(spacecraft: dict) -> Bodies:
     """The bodies of a scenario's `spacecraft`."""
     sides = [spacecraft["chaser"], spacecraft["target"]]
-    inertia = np.array([_tensor(s["inertia"]) for s in sides])
+    inertia = np.empty((2, 3, 3))
+    for body, side in zip(inertia, sides, strict=True):  # the diagonal, or xx, yy, zz, xy, xz, yz
+        xx, yy, zz, xy, xz, yz = [*map(float, side["inertia"]), 0.0, 0.0, 0.0][:6]
+        body[:] = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
     return Bodies(
         np.array([float(s["mass"]) for s in sides]),
         inertia,
@@ -152,9 +144,3 @@ def from_scenario(spacecraft: dict) -> Bodies:
         np.array([s["port"]["position"] for s in sides], dtype=float),
         np.array([from_attitude(s["port"]["attitude_deg"]) for s in sides]),
     )
-
-
-def _tensor(numbers) -> np.ndarray:
-    """Inertia (3, 3) of the diagonal, or of xx, yy, zz, xy, xz, yz."""
-    xx, yy, zz, xy, xz, yz = [*map(float, numbers), 0.0, 0.0, 0.0][:6]
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -106,9 +106,7 @@ def wrench_at(sides, trail, t, h, timing, out, where):
 
 @njit(cache=True)
 def _shake(sides, trail, latched, pose, twist, states, dt, scheme, y, out):
-    """The mounted body over dt from y (13,) to `out`, with A starting at pose (7,) with the twist
-    (6,): midpoint rule or semi-implicit Euler.
-    """
+    """The mounted body over dt from y (13,) to `out`, with A at a pose (7,) with a twist (6,)."""
     law, docking = sides
     wrench, seen, a, b = np.empty(6), np.empty((2, 2)), np.empty(6), np.empty(6)
     at, half = np.empty(7), np.empty(13)
@@ -324,11 +322,6 @@ def _trail(rig: Rig, start: np.ndarray, velocity: np.ndarray) -> Trail:
     return trail
 
 
-def _keeps_state(rig: Rig) -> bool:
-    law = rig.contact
-    return any((law.branch_stiffness, law.mode_w, law.dry_stiffness, law.line, law.ageing))
-
-
 def simulate(
     rig: Rig,
     noise: Noise,
@@ -355,6 +348,8 @@ def simulate(
     trail, keep = _trail(rig, start, velocity), method.memory(rig.compensator, h)
     links = rig.bodies, rig.platform, rig.contact, rig.docking, rig.sensor, rig.compensator
     begin, grid = (state, start, velocity), (h, rig.ticks, rig.timing)
-    found = _loop(links, begin, grid, noise, cuts, keep, trail, _keeps_state(rig))
+    law = rig.contact
+    stateful = any((law.branch_stiffness, law.mode_w, law.dry_stiffness, law.line, law.ageing))
+    found = _loop(links, begin, grid, noise, cuts, keep, trail, stateful)
     captured = -1 if rig.docking.from_start else min(int(trail.closed[0]), rig.ticks)
     return Records(*found, captured=captured)._replace(pose_act=all_noisy(found[1], noise.pose))

@@ -59,26 +59,6 @@ def memory(comp: Compensator, h: float) -> Memory:
 
 
 @njit(cache=True)
-def _remember(history, k, row):
-    if k == 0:
-        for i in range(len(history)):
-            history[i, : len(row)] = row
-    history[k % len(history), : len(row)] = row
-
-
-@njit(cache=True)
-def _recall(history, k, ticks, column):
-    """A column's value `ticks` before row k, interpolated linearly; before the first row, the value
-    of that row.
-    """
-    whole = int(math.floor(ticks))
-    part = ticks - whole
-    length = len(history)
-    late, early = history[(k - whole) % length, column], history[(k - whole - 1) % length, column]
-    return (1.0 - part) * late + part * early
-
-
-@njit(cache=True)
 def _second_order(comp, u, h, past, out):
     """The second-order lead; `past` contains inputs and outputs of the last two ticks."""
     a1 = comp.delay + 2.0 * comp.t2
@@ -116,9 +96,16 @@ def _lead(t1, t2, u, h, past, out):
 def _smith(comp, k, u, pose, twist, h, keep, out):
     now, rest = np.empty(6), np.empty(6)
     _spring_at_port(comp, pose, twist, now)
-    _remember(keep.history, k, now)
+    history, length = keep.history, len(keep.history)
+    if k == 0:  # before the first row, its force
+        for i in range(length):
+            history[i] = now
+    history[k % length] = now
+    whole = int(math.floor(comp.delay / h))
+    part = comp.delay / h - whole
     for i in range(6):
-        rest[i] = u[i] - _recall(keep.history, k, comp.delay / h, i)
+        late, early = history[(k - whole) % length, i], history[(k - whole - 1) % length, i]
+        rest[i] = u[i] - ((1.0 - part) * late + part * early)
     if comp.lead_rest:
         _lead(comp.t1, comp.t2, rest, h, keep.past, out)
         rest[:] = out

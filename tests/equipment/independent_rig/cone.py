@@ -85,18 +85,8 @@ def _oval(s, foot, grows, rho, out_x, out_y, normal):
 
 
 @njit(cache=True)
-def rim_of(s):
-    """Radius and height [m] of the ring that is the centre line of the round rim."""
-    middle = s.socket + s.half_wall
-    ring = middle * math.cos(s.half_angle) + s.generator * math.sin(s.half_angle)
-    return ring, middle * math.sin(s.half_angle) - s.socket - s.generator * math.cos(s.half_angle)
-
-
-@njit(cache=True)
 def _to_ring(s, ball, axis, back, ring, level):
-    """Distance [m] to the ring from the point on the rod's axis at `back` behind the ball's
-    centre.
-    """
+    """Distance [m] to the ring from the rod's axis at `back` behind the ball's centre."""
     x, y, z = ball[0] - back * axis[0], ball[1] - back * axis[1], ball[2] - back * axis[2]
     wide = math.sqrt(x * x + y * y) - ring
     return math.sqrt(wide * wide + (z - level) ** 2)
@@ -110,7 +100,10 @@ def rod_clearance(s, ball, axis, normal, place):
         set to the rim's outward normal, place (3,) to the nearest point on the rod's axis. Far from
         the rim the distance is a lower bound and neither is set.
     """
-    ring, level = rim_of(s)
+    # of the ring that is the centre line of the round rim
+    middle, sine, cosine = s.socket + s.half_wall, math.sin(s.half_angle), math.cos(s.half_angle)
+    ring = middle * cosine + s.generator * sine
+    level = middle * sine - s.socket - s.generator * cosine
     # lower bound: distance of the rod from the ring in the rim's plane, times cos(tilt)
     if axis[2] > 0.5:
         back = (ball[2] - level) / axis[2]

@@ -71,23 +71,6 @@ class Contact(NamedTuple):
 
 
 @njit(cache=True)
-def with_play(law, x):
-    """Deflection [m] of the spring at the penetration x [m], less the play."""
-    if law.play > 0.0:
-        return math.copysign(max(abs(x) - 0.5 * law.play, 0.0), x)
-    return x
-
-
-@njit(cache=True)
-def _along_curve(law, depth):
-    """Factor of the elastic force at this depth [m]; the last one beyond the curve's end."""
-    last = len(law.curve) - 1
-    at = min(depth / law.curve_depth, 1.0) * last
-    i = min(int(at), last - 1)
-    return law.curve[i] + (at - i) * (law.curve[i + 1] - law.curve[i])
-
-
-@njit(cache=True)
 def _law(law, x, v, branch, age):
     """Force [N] in touch at penetration x [m] of the spring and rate v [m/s]."""
     side = -1.0 if law.latched and x < 0.0 else 1.0
@@ -95,7 +78,10 @@ def _law(law, x, v, branch, age):
     if law.exponent > 0.0:
         elastic = side * law.power * max(side * x, 0.0) ** law.exponent
     if law.curve_depth > 0.0:
-        elastic *= _along_curve(law, abs(x))
+        last = len(law.curve) - 1  # beyond the curve's end, too
+        at = min(abs(x) / law.curve_depth, 1.0) * last
+        i = min(int(at), last - 1)
+        elastic *= law.curve[i] + (at - i) * (law.curve[i + 1] - law.curve[i])
     if law.line > 0.0:
         elastic *= 1.0 + law.line * math.sin(law.line_w * age)
     if v * side < 0.0:
@@ -148,9 +134,7 @@ def force_on(law, x, v, state):
 
 @njit(cache=True)
 def carried(law, force, state):
-    """The normal force [N] at the sensor: the frame's reaction if the sensor is below the vibrating
-    mass, else the contact force.
-    """
+    """The normal force [N] at the sensor, which is above the vibrating mass or below it."""
     if law.mode_w > 0.0 and law.mode_read:
         rate = law.mode_w * state[FRAME] + 2.0 * law.mode_zeta * state[FRAME_V]
         return law.mode_mass * law.mode_w * rate

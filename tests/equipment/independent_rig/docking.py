@@ -130,14 +130,14 @@ def touch_wrench(law, surfaces, pose, twist, states, out, seen):
 
 @njit(cache=True)
 def latch_wrench(docking, pose, twist, hold, states, out, seen):
-    """Wrench (6,) of the latch that holds A at `hold` (7,), on the passive side at S's origin;
-    arguments as in `touch_wrench`.
-    """
+    """Wrench (6,) of the latch that holds A at `hold` (7,); arguments as in `touch_wrench`."""
     law = docking.held
     for i in range(6):
         out[i] = 0.0
     seen[ROD, 0], seen[ROD, 1] = -1.0, 0.0
-    x = law_of.with_play(law, pose[2] - hold[2] - law.touch)
+    x = pose[2] - hold[2] - law.touch
+    if law.play > 0.0:
+        x = math.copysign(max(abs(x) - 0.5 * law.play, 0.0), x)
     seen[TIP, 0], seen[TIP, 1] = x, twist[2]
     force = np.empty(3)
     for i in range(2):
@@ -204,9 +204,7 @@ def wrench_in_place(sides, pose, twist, y, latched, hold, states, out, seen):
 
 @njit(cache=True)
 def close(sides, pose, twist, y, states, hold):
-    """Close the latch if its condition holds, and return whether it does: `hold` (7,) is set so
-    that its springs take over the contact's current force.
-    """
+    """Whether the latch closes: `hold` (7,) is then where its springs bear the current force."""
     law, docking = sides
     local_pose, local_twist, wrench, seen = np.empty(7), np.empty(6), np.empty(6), np.empty((2, 2))
     relate(pose, twist, y, law.tilt, local_pose, local_twist)

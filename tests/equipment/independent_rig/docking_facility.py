@@ -84,9 +84,7 @@ class DockingFacility(Facility):
 
 
 def draw_docking_facility(rng: Generator, design: str = "docking") -> DockingFacility:
-    """A random docking facility: docking | mounted (the cone on a compliant mount) | held (a latch
-    from the start).
-    """
+    """A random docking facility: docking | mounted (on a compliant mount) | held (latched)."""
     for _ in range(100):
         scenario = _scenario(rng, design)
         touch_time = rng.uniform(0.12, 0.25)
@@ -185,9 +183,7 @@ def _mount(rng: Generator, stiffness: float) -> dict:
 def _run(
     rng: Generator, number: int, speed: float, touch_time: float, design: str, scenario: dict
 ) -> dict:
-    """Changed keys of a run: lateral position, tilt and rotation rate; the last two runs have other
-    known springs.
-    """
+    """Changed keys of a run: place, tilt and rate; the last two have other known springs."""
     azimuth = rng.uniform(-math.pi, math.pi)
     held = design == "held"
     far = rng.uniform(5e-4, 2e-3) if held else rng.uniform(0.015, 0.07)
@@ -210,9 +206,7 @@ def _run(
 
 
 def _gap(changes: dict, time: float) -> float:
-    """The gap [m] for which the tip touches the cone at `time` [s] of a uniform approach, by
-    bisection.
-    """
+    """The gap [m] for which the tip touches at `time` [s] of a uniform approach, by bisection."""
     surfaces, normal = Surfaces(), np.zeros(3)
     velocity = np.array(changes["approach.velocity"], dtype=float)
     rate = np.radians(np.array(changes["approach.rate_deg"], dtype=float))
@@ -226,17 +220,13 @@ def _gap(changes: dict, time: float) -> float:
     return 0.5 * (low + high)
 
 
-def _healthy(scenario: dict, changes: dict, duration: float) -> Records:
-    rig = docking_rig(overridden(scenario, changes | {"duration": duration}))
-    rig = rig._replace(timing=rig.timing._replace(substeps=COARSE))
-    return simulate(rig, silence(rig.ticks))
-
-
 def _all_healthy(scenario: dict, runs: list[dict]) -> list[Records]:
     """The healthy runs, up to the first that is unstable or has no contact."""
     found = []
     for changes in runs:
-        records = _healthy(scenario, changes, SCREENED)
+        rig = docking_rig(overridden(scenario, changes | {"duration": SCREENED}))
+        rig = rig._replace(timing=rig.timing._replace(substeps=COARSE))
+        records = simulate(rig, silence(rig.ticks))
         force = np.abs(records.physical[:, :3]).max()
         if not force < HIGHEST or not records.touching.any():
             break

@@ -112,6 +112,12 @@ class Facility:
         fastest = max(abs(r["approach.velocity"][0]) for r in self.runs)
         return max(*far, fastest * (self.touch_time + self.contact_time), 1e-4)
 
+    def expected_peak(self, run: int) -> float:
+        """Largest force [N] of a run of the healthy rig."""
+        own = self.runs[run].get("mechanism.contact.stiffness", self.stiffness)
+        factor = math.sqrt(own / self.stiffness)
+        return factor * self.peak * self.speeds[run] / self.middle_speed
+
 
 def draw_facility(rng: Generator, design: frozenset[str]) -> Facility:
     """A random facility, whose contact is neither too short for its rate nor too fast for its

@@ -16,7 +16,6 @@ from numpy.random import Generator
 
 from tests.equipment.independent_rig.facility import Facility
 from tests.equipment.independent_rig.hidden import Apply, angular, changed, sets
-from tests.equipment.independent_rig.links import Rig
 from tests.equipment.independent_rig.sizes import (
     Draw,
     Number,
@@ -50,25 +49,10 @@ def _over(name: str) -> Size:
     return lambda v, f: v / getattr(f, name)
 
 
-def _per_depth(v: float, f: Facility) -> float:
-    """Over the range of the contact along the insertion."""
-    return v / (max(f.side, f.depth) if "six axes" in f.design else f.depth)
-
-
-def _drag_in_docking(v: float, f: Facility) -> float:
-    return v * f.reduced_mass / f.span  # type: ignore[attr-defined]
-
-
 def _curve(rng: Generator, f: Facility, s: float) -> dict:
-    """A force-penetration curve of any shape: factors of the spring at evenly spaced depths, each
-    within 25 % of 1.
-    """
+    """A curve of any shape: factors of the spring at even depths, each within 25 % of 1."""
     factors = 1.0 + s * rng.uniform(-0.25, 0.25, KNOTS)
     return {"factors": [round(float(v), 4) for v in factors], "depth": 1.5 * f.depth}
-
-
-def _oval(rig: Rig, e: dict) -> Rig:
-    return changed(rig, "docking", surfaces=rig.docking.surfaces._replace(oval=e["ratio"]))
 
 
 def _bandwidths(back: float) -> dict:
@@ -76,9 +60,7 @@ def _bandwidths(back: float) -> dict:
 
 
 def _one(part: str, link: str = "", **fields: tuple[str, Number]) -> Foreign:
-    """An effect whose parameters are fields of one part of the rig; ``link``: if that has another
-    name.
-    """
+    """An effect of fields of one part of the rig; ``link``: if that has another name."""
     apply = sets(part, **{field: name for field, (name, _) in fields.items()})
     return Foreign(link or part, apply, dict(fields.values()))
 
@@ -172,8 +154,24 @@ FURTHER: dict[str, Foreign] = {
             "slope": scaled(0.8, 2.0, _over("peak")),
         },
     ),
-    "unknown.oval_cone": Foreign("contact", _oval, {"ratio": scaled(0.01, 0.03, plain, True)}),
-    "unknown.depth_gain": _sensor(depth_slope=("slope", scaled(0.1, 0.25, _per_depth, True))),
+    "unknown.oval_cone": Foreign(
+        "contact",
+        lambda rig, e: changed(
+            rig, "docking", surfaces=rig.docking.surfaces._replace(oval=e["ratio"])
+        ),
+        {"ratio": scaled(0.01, 0.03, plain, True)},
+    ),
+    "unknown.depth_gain": _sensor(  # over the range of the contact along the insertion
+        depth_slope=(
+            "slope",
+            scaled(
+                0.1,
+                0.25,
+                lambda v, f: v / (max(f.side, f.depth) if "six axes" in f.design else f.depth),
+                True,
+            ),
+        )
+    ),
 }
 
 RESIZED: dict[str, Draw] = {
@@ -191,7 +189,13 @@ RESIZED: dict[str, Draw] = {
     "unknown.acceleration_limit": {
         "limit": inverse(2.5, 4.0, lambda v, f: v * f.peak / f.reduced_mass)
     },
-    "unknown.drag": {"coefficient": scaled(0.02, 0.06, _drag_in_docking)},
+    "unknown.drag": {
+        "coefficient": scaled(
+            0.02,
+            0.06,
+            lambda v, f: v * f.reduced_mass / f.span,  # type: ignore[attr-defined]
+        )
+    },
     "unknown.tether": {
         "stiffness": scaled(0.02, 0.06, lambda v, f: v * f.peak / max(f.side, 0.01))
     },

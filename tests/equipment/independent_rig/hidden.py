@@ -63,10 +63,6 @@ def _times(old: Any, e: dict) -> Any:
     return old * e["factor"]
 
 
-def _misalignment(rig: Rig, e: dict) -> Rig:
-    return changed(rig, "contact", tilt=from_attitude([*e["angles_deg"], 0.0]))
-
-
 def _inertia(rig: Rig, e: dict) -> Rig:
     rig = _item("bodies", "inertia", _body, _times)(rig, e)
     return changed(rig, "bodies", compliance=np.linalg.inv(rig.bodies.inertia))
@@ -115,7 +111,7 @@ EFFECTS: dict[str, Apply] = {
     "contact.surface_friction": sets("contact", friction="coefficient"),
     "contact.touch_offset": sets("contact", touch="offset"),
     "contact.backlash": sets("contact", play="width"),
-    "contact.misalignment": _misalignment,
+    "contact.misalignment": sets("contact", tilt=lambda e: from_attitude([*e["angles_deg"], 0.0])),
     "frame.compliance": sets("contact", frame_stiffness="stiffness"),
     "frame.mode": sets(
         "contact", mode_w=angular("frequency"), mode_zeta="damping_ratio", mode_mass="mass"

@@ -81,20 +81,14 @@ def write_set(folder: str | Path, hidden: HiddenSet) -> Path:
     return folder
 
 
-def columns_of(log: Log) -> dict[str, np.ndarray]:
-    """The columns of a log by name, t first."""
-    columns = {"t": log.t}
-    for name, rows in log.channels().items():
-        parts = PARTS[name.split("_")[0]]
-        columns |= {f"{name}.{part}": rows[:, j].copy() for j, part in enumerate(parts)}
-    return columns
-
-
 def _write_log(folder: Path, log: Log) -> str:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    columns = columns_of(log)
+    columns = {"t": log.t}
+    for name, rows in log.channels().items():
+        parts = PARTS[name.split("_")[0]]
+        columns |= {f"{name}.{part}": rows[:, j].copy() for j, part in enumerate(parts)}
     if log.digits is None:
         pq.write_table(pa.table(columns), folder / f"run_{log.run}.parquet")
         return f"run_{log.run}.parquet"

@@ -37,9 +37,14 @@ def _delay_or_damping(rng: Generator, f: Facility, s: float) -> tuple[dict, dict
     return {"delay": rounded(time)}, {"factor": factor}
 
 
-def _gain_or_stiffness(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
-    gain = drawn(SIZES["sensor.gain"], rng, f, s)
-    return gain, {"factor": gain["factor"]}
+def _like(kind: str, name: str) -> Both:
+    """The first effect at its usual size, and its parameter `name` for the second."""
+
+    def both(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
+        first = drawn(SIZES[kind], rng, f, s)
+        return first, {name: first[name]}
+
+    return both
 
 
 def _lag_or_delay_of_platform(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
@@ -70,20 +75,11 @@ def _frame_or_stiffness(rng: Generator, f: Facility, s: float) -> tuple[dict, di
     return {"stiffness": frame}, {"factor": rounded(1.0 / (1.0 + f.stiffness / frame))}
 
 
-def _integrator_or_step(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
-    return {"scheme": "explicit_euler"}, {"ticks": 1}
-
-
 def _friction_or_damping(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
     """Over a cycle of amplitude X at w, friction dissipates 4 F X and a damper pi c w X^2."""
     force = s * rng.uniform(0.02, 0.06) * f.peak
     added = 4.0 * force / (math.pi * 2.0 * math.pi * f.frequency * f.depth)
     return {"force": rounded(force)}, {"factor": rounded(1.0 + added / f.damping)}
-
-
-def _either_dead_zone(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
-    width = drawn(SIZES["sensor.deadzone"], rng, f, s)
-    return width, dict(width)
 
 
 def _play_or_stiction(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
@@ -93,7 +89,7 @@ def _play_or_stiction(rng: Generator, f: Facility, s: float) -> tuple[dict, dict
 
 LOOK_ALIKES: dict[Pair, Both] = {
     ("sensor.delay", "contact.damping"): _delay_or_damping,
-    ("sensor.gain", "contact.stiffness"): _gain_or_stiffness,
+    ("sensor.gain", "contact.stiffness"): _like("sensor.gain", "factor"),
     ("log.skew", "sensor.delay"): _same(_time, "delay", "delay"),
     ("platform.lag", "platform.delay"): _lag_or_delay_of_platform,
     ("sensor.lag", "sensor.delay"): _same(_time, "time_constant", "delay"),
@@ -101,9 +97,12 @@ LOOK_ALIKES: dict[Pair, Both] = {
     ("dynamics.mass", "dynamics.mass"): _either_mass,
     ("contact.touch_offset", "contact.preload"): _offset_or_preload,
     ("frame.compliance", "contact.stiffness"): _frame_or_stiffness,
-    ("dynamics.integrator", "dynamics.step_delay"): _integrator_or_step,
+    ("dynamics.integrator", "dynamics.step_delay"): lambda rng, f, s: (
+        {"scheme": "explicit_euler"},
+        {"ticks": 1},
+    ),
     ("contact.dry_friction", "contact.damping"): _friction_or_damping,
-    ("sensor.deadzone", "loop.deadzone"): _either_dead_zone,
+    ("sensor.deadzone", "loop.deadzone"): _like("sensor.deadzone", "width"),
     ("platform.backlash", "platform.friction"): _play_or_stiction,
 }
 
@@ -111,8 +110,6 @@ LOOK_ALIKES: dict[Pair, Both] = {
 def draw_look_alike(
     rng: Generator, pair: Pair, facility: Facility, scale: float = 1.0
 ) -> tuple[dict, dict]:
-    """Both effects of a pair, as in a scenario's `effects`, at sizes that look alike in this
-    facility.
-    """
+    """Both effects of a pair, as in a scenario's `effects`, at sizes that look alike."""
     first, second = LOOK_ALIKES[pair](rng, facility, scale)
     return {"kind": pair[0], **first}, {"kind": pair[1], **second}

@@ -26,9 +26,10 @@ from tests.equipment.independent_rig.rotation import (
 )
 
 RIGID = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-CONE_MASS = 120.0  # kg, with the next two as in models/probe_cone/passive.xml
-CONE_INERTIA = (8.0, 8.0, 10.0)  # kg m^2 about the centre of mass
-CONE_CENTRE = (0.0, 0.0, 0.30)  # m, of mass, from P
+# of the body on it, as in models/probe_cone/passive.xml and models/bumper/passive.xml
+MASS = 120.0  # kg
+INERTIA = np.diag([8.0, 8.0, 10.0])  # kg m^2 about the centre of mass
+CENTRE = np.array([0.0, 0.0, 0.30])  # m, of mass, from P
 
 ARM2 = 0.02  # m^2, square of the lever arm of a contact force about the centre of mass
 MOST_PHASE, MOST_LOSS = 0.5, 1.0  # largest phase of the swing, and largest decay, in one step
@@ -53,17 +54,10 @@ def no_mount() -> Mount:
     return mount_of(np.ones(6), np.zeros(6))._replace(there=False)
 
 
-def mount_of(
-    stiffness, damping, mass: float = CONE_MASS, inertia=CONE_INERTIA, centre=CONE_CENTRE
-) -> Mount:
-    """The mount of a scenario, stiffness and damping (6,), that carries the cone or another
-    body.
-    """
-    springs, dampers, diagonal, place = (
-        np.array(v, dtype=float) for v in (stiffness, damping, inertia, centre)
-    )
-    tensor = np.diag(diagonal)
-    return Mount(springs, dampers, float(mass), tensor, np.linalg.inv(tensor), place, True)
+def mount_of(stiffness, damping) -> Mount:
+    """The mount of a scenario, stiffness and damping (6,)."""
+    springs, dampers = (np.array(v, dtype=float) for v in (stiffness, damping))
+    return Mount(springs, dampers, MASS, INERTIA, np.linalg.inv(INERTIA), CENTRE, True)
 
 
 @njit(cache=True)
@@ -78,9 +72,7 @@ def carried(mount, y, out):
 
 @njit(cache=True)
 def derivative(mount, y, wrench, out):
-    """`out` (6,): acceleration and angular acceleration of S under a contact wrench (6,), in P at
-    P's origin.
-    """
+    """`out` (6,): accelerations of S under a contact wrench (6,), in P at P's origin."""
     net, inside, turning, arm = np.empty(6), np.empty(3), np.empty(3), np.empty(3)
     carried(mount, y, net)
     for i in range(6):
@@ -108,9 +100,7 @@ def derivative(mount, y, wrench, out):
 
 @njit(cache=True)
 def moved(y, v, a, dt, out):
-    """`out` (13,): the state y after dt at the velocities `v` (6,) and the accelerations `a`
-    (6,).
-    """
+    """`out` (13,): the state y after dt at velocities `v` (6,) and accelerations `a` (6,)."""
     w = np.empty(3)
     for i in range(3):
         out[i] = y[i] + dt * v[i]

@@ -75,9 +75,7 @@ def coloured(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def pink(log: Log, strength: float, rng: Generator) -> Log:
-    """Power density proportional to 1/f from one over the run's length to half the rate, rms
-    `strength` sigma, zero mean.
-    """
+    """Power density proportional to 1/f up to half the rate, rms `strength` sigma, zero mean."""
     n = len(log.t)
     spectrum = np.fft.rfft(rng.standard_normal((n, 6)), axis=0)
     spectrum[0] = 0.0
@@ -87,9 +85,7 @@ def pink(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def anti_aliasing(log: Log, strength: float, rng: Generator) -> Log:
-    """A Butterworth low-pass at `strength` Hz before the converter, on signal and noise; the logger
-    corrects the stamps for its delay.
-    """
+    """A Butterworth low-pass at `strength` Hz; the logger corrects the stamps for its delay."""
     rate = 1.0 / log.tick
     if strength >= 0.5 * rate:
         return log
@@ -112,9 +108,7 @@ def proportional(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def spikes(log: Log, strength: float, rng: Generator) -> Log:
-    """White, plus spikes of 10 to 30 sigma, of either sign, on a fraction `strength` of the rows of
-    an axis.
-    """
+    """White, plus spikes of 10 to 30 sigma on a fraction `strength` of an axis's rows."""
     shape = (len(log.t), 6)
     size = (
         rng.uniform(*SPIKE, shape) * rng.choice([-1.0, 1.0], shape) * (rng.random(shape) < strength)
@@ -135,9 +129,7 @@ def tare(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def slow_drift(log: Log, strength: float, rng: Generator) -> Log:
-    """White, plus a drift of each axis by up to `strength` sigma with a period longer than the
-    run.
-    """
+    """White, plus a drift of up to `strength` sigma with a period longer than the run."""
     length = max(log.t[-1] - log.t[0], log.tick)
     turns, phase = rng.uniform(0.25, 0.75, 6), rng.uniform(-np.pi, np.pi, 6)
     sway = np.sin(2.0 * np.pi * turns * ((log.t - log.t[0]) / length)[:, None] + phase) - np.sin(
@@ -156,9 +148,7 @@ def mains(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def held_rows(log: Log, strength: float, rng: Generator) -> Log:
-    """The force is held for one to five rows, so that a fraction `strength` of the rows repeats the
-    one before.
-    """
+    """The force is held for one to five rows, so that a fraction `strength` of them repeats."""
     n = len(log.t)
     mean = 0.5 * (1 + LONGEST_HOLD)
     source = np.arange(n)
@@ -175,9 +165,7 @@ def pose_steps(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def digits(log: Log, strength: float, rng: Generator) -> Log:
-    """A text file with `strength` significant digits; stamps have at least five, so that they
-    increase.
-    """
+    """A text file with `strength` significant digits; stamps have enough to increase."""
     count = int(strength)
     found = {name: _rounded(rows, count) for name, rows in log.channels().items()}
     return replace(log, t=_rounded(log.t, max(count, STAMP_DIGITS)), digits=count, **found)

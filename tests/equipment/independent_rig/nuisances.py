@@ -21,6 +21,7 @@ from numpy.random import Generator
 
 from tests.equipment.independent_rig import platform, sensor
 from tests.equipment.independent_rig.links import SUBSTEPS, Records, Rig, Timing
+from tests.equipment.independent_rig.log import POSES, WRENCHES
 
 Scheme = Literal["as drawn", "exact", "semi_implicit", "trapezoidal"]
 SCHEMES = {  # of the platform and of the sensor
@@ -31,7 +32,6 @@ SCHEMES = {  # of the platform and of the sensor
 }
 FEWEST, MOST = 2, 200  # sub-steps
 LONGEST = 0.5  # ticks, largest offset of an instant
-CHANNELS = ("pose_cmd", "pose_act", "wrench_meas", "wrench_comp")
 FARTHEST = 1.0  # rows, largest offset of a stamp
 
 
@@ -80,7 +80,7 @@ def draw_nuisances(rng: Generator) -> Nuisances:
     rate = float(rng.random())
     scheme: Any = str(rng.choice(["exact", "semi_implicit", "trapezoidal"]))
     stamps = {}
-    for channel in CHANNELS:
+    for channel in (*POSES, *WRENCHES):
         late = FARTHEST * rng.uniform(-1.0, 1.0)
         stays, whole = rng.random() < 0.5, rng.random() < 0.5
         if not stays:
@@ -89,9 +89,7 @@ def draw_nuisances(rng: Generator) -> Nuisances:
 
 
 def with_nuisances(rig: Rig, nuisances: Nuisances) -> Rig:
-    """The rig with the nuisance parameters of a facility, except the stamps of its log
-    (`restamped`).
-    """
+    """The rig with these nuisance parameters, except the stamps of its log (`restamped`)."""
     h = 1.0 / rig.rate
     of_platform, of_sensor = SCHEMES[nuisances.scheme]
     contact = rig.contact
@@ -111,18 +109,14 @@ def with_nuisances(rig: Rig, nuisances: Nuisances) -> Rig:
 
 
 def restamped(records: Records, stamps: Mapping[str, float]) -> Records:
-    """The records with the channels in `stamps` shifted by whole or fractional rows; the first and
-    last rows are repeated at the ends.
-    """
+    """The records with the channels in `stamps` shifted by whole or fractional rows."""
     return records._replace(
         **{channel: shifted(getattr(records, channel), rows) for channel, rows in stamps.items()}
     )
 
 
 def shifted(rows: np.ndarray, late: float) -> np.ndarray:
-    """Rows (n, m) delayed by `late` rows, with linear interpolation; quaternions (columns 3 to 6 of
-    7) are normalised.
-    """
+    """Rows (n, m) delayed by `late` rows, linear in between; the ends are repeated."""
     at = np.clip(np.arange(len(rows)) - late, 0.0, len(rows) - 1.0)
     whole = np.minimum(at.astype(np.int64), len(rows) - 2)
     part = (at - whole)[:, None]

@@ -45,9 +45,7 @@ class Platform(NamedTuple):
 
 @njit(cache=True)
 def command_at(node, velocity, t, h):
-    """Command (3,) at `t` [s]; node (ticks + 1, 3) contains it at whole ticks, node[0] the
-    start.
-    """
+    """Command (3,) at `t` [s]; node (ticks + 1, 3) contains it at whole ticks, the start first."""
     if t <= 0.0:
         return node[0] + velocity * t
     k = min(int(t / h), len(node) - 2)
@@ -108,9 +106,7 @@ def respond(platform, x, v, u, u_rate, dt, w, zeta, base):
 
 @njit(cache=True)
 def _slew(state, u, dt, limit):
-    """An axis with an acceleration limit: it approaches the command with the highest speed from
-    which it can still brake.
-    """
+    """An axis with an acceleration limit, at the highest speed from which it can still brake."""
     gap = u - state[SLEWED]
     wanted = math.copysign(math.sqrt(2.0 * limit * abs(gap)), gap) + state[COMMAND]
     if abs(gap) < limit * dt * dt * 4.0:

@@ -12,24 +12,13 @@ from tests.equipment.independent_rig.cone import Surfaces
 from tests.equipment.independent_rig.contact import Contact
 from tests.equipment.independent_rig.docking import Docking
 from tests.equipment.independent_rig.links import Rig
-from tests.equipment.independent_rig.mount import (
-    CONE_CENTRE,
-    CONE_INERTIA,
-    CONE_MASS,
-    Mount,
-    mount_of,
-    no_mount,
-)
+from tests.equipment.independent_rig.mount import Mount, mount_of, no_mount
 from tests.equipment.independent_rig.platform import Platform
 from tests.equipment.independent_rig.sensor import Sensor
 
 LEAD_T2 = 0.0005  # s, unless the scenario sets it
 MIDDLE = 0.5  # lever of a healthy docking: the force acts in the middle of the overlap
 BUMPER_TIP = 0.02  # m, radius
-# mass, inertia about its centre, centre from P
-Body = tuple[float, tuple[float, float, float], tuple[float, float, float]]
-CONE_BODY: Body = (CONE_MASS, CONE_INERTIA, CONE_CENTRE)
-BUMPER_BODY: Body = (120.0, (8.0, 8.0, 10.0), (0.0, 0.0, 0.30))  # as in models/bumper/passive.xml
 
 
 def overridden(scenario: dict, changes: dict) -> dict:
@@ -48,9 +37,7 @@ def overridden(scenario: dict, changes: dict) -> dict:
 
 
 def nominal_rig(scenario: dict) -> Rig:
-    """The nominal rig of a scenario (a mapping with every key that is read here): the tip a point
-    that meets a plane, or is latched and free to turn; ideal tracking.
-    """
+    """The nominal rig of a scenario: a point that meets a plane, or is latched and free to turn."""
     numbers = scenario["mechanism"]["contact"]
     stiffness, damping, friction = (numbers[n] for n in ("stiffness", "damping", "friction"))
     contact = Contact(float(stiffness), float(damping), float(friction))
@@ -90,9 +77,7 @@ def compensator_of(scenario: dict) -> Compensator:
 
 
 def docking_rig(scenario: dict) -> Rig:
-    """The rig of a scenario with all six axes: probe and cone, bumper or latched; rigid or on a
-    mount; ideal tracking.
-    """
+    """The rig of a scenario with all six axes: probe and cone, bumper or latched."""
     rig = nominal_rig(scenario)
     contact = rig.contact._replace(lever=MIDDLE)
     docking = _docking(scenario["mechanism"], contact)
@@ -103,7 +88,7 @@ def _docking(mechanism: dict, contact: Contact) -> Docking:
     kind, latch, mount = mechanism["kind"], mechanism.get("latch"), mechanism.get("mount")
     docking = Docking(
         Surfaces() if kind == "probe_cone" else Surfaces(tip=BUMPER_TIP, flat=True), contact,
-        _mount(mount, kind), from_start=kind == "latched",
+        _mount(mount), from_start=kind == "latched",
     )  # fmt: skip
     if not latch:
         return docking
@@ -114,17 +99,14 @@ def _docking(mechanism: dict, contact: Contact) -> Docking:
     )
 
 
-def _mount(mount: dict | None, kind: str) -> Mount:
+def _mount(mount: dict | None) -> Mount:
     if mount is None:
         return no_mount()
-    body = CONE_BODY if kind == "probe_cone" else BUMPER_BODY
-    return mount_of(mount["stiffness"], mount.get("damping", np.zeros(6)), *body)
+    return mount_of(mount["stiffness"], mount.get("damping", np.zeros(6)))
 
 
 def with_held(rig: Rig) -> Rig:
-    """The rig with its contact law also in its latch; a latch that closes holds the pose at
-    capture, without offset, preload or stop.
-    """
+    """The rig with its contact law in its latch, which holds the pose at capture as it is."""
     law = rig.contact._replace(latched=True)
     if not rig.docking.from_start:
         law = law._replace(touch=0.0, preload=0.0, stop_stiffness=0.0)

@@ -127,9 +127,7 @@ def noisy(pose, noise, out):
 
 @njit(cache=True)
 def slope(before, now, h, out):
-    """`out` (6,): the twist from one pose to the next in h [s], linear and angular part
-    separately.
-    """
+    """`out` (6,): the twist from one pose to the next in h [s], both parts separately."""
     turned = turn_of(product(now[3:7], inverse(before[3:7])))
     for i in range(3):
         out[i] = (now[i] - before[i]) / h

@@ -58,9 +58,7 @@ def _clip(sensor, out):
 
 @njit(cache=True)
 def lagged(sensor, y, before, u, h):
-    """The low-pass of y at the end of a tick h [s] in which its input goes from `before` to `u`:
-    exactly, for an input that is linear in between, or by a scheme of second or first order.
-    """
+    """The low-pass of y at the end of a tick h [s] with a linear input from `before` to `u`."""
     if sensor.lag_scheme == BACKWARD:
         return y + (u - y) * h / (sensor.lag + h)
     if sensor.lag_scheme == TRAPEZOIDAL:
@@ -71,9 +69,7 @@ def lagged(sensor, y, before, u, h):
 
 @njit(cache=True)
 def read(sensor, raw, place, noise, t, h, state, out):
-    """Reading (6,) at t from the delayed physical wrench `raw` (6,); `place` (3,) is the position
-    of the tip then.
-    """
+    """Reading (6,) at t of the delayed wrench `raw` (6,) with the tip at `place` (3,)."""
     for a in range(6):
         out[a] = raw[a] * sensor.gain[a] * (1.0 + sensor.warming * t + sensor.slope * place[0])
         if sensor.depth_slope != 0.0:

@@ -107,7 +107,9 @@ def draw_set(
             else draw_docking_facility(rng, design)
         )
         if kind == "alike":
-            both = draw_look_alike(rng, _ordered(chosen), facility, scale)
+            first, second = chosen
+            ordered = (first, second) if (first, second) in LOOK_ALIKES else (second, first)
+            both = draw_look_alike(rng, ordered, facility, scale)
             effects = [e for e in both if e["kind"] == chosen[0]]
         else:
             effects = draw_effects(rng, chosen, facility, scale)
@@ -135,9 +137,7 @@ def draw_set(
 def draw_effects(
     rng: Generator, names: tuple[str, ...], facility: Facility, scale: float = 1.0
 ) -> list[dict[str, Any]]:
-    """The effects `names`, of the vocabulary or foreign, at moderate sizes for the facility, times
-    `scale`.
-    """
+    """The effects `names` at moderate sizes for the facility, times `scale`."""
     in_docking = SIX in facility.design
     sizes = DOCKING_SIZES if in_docking else SIZES
     foreign = IN_DOCKING if in_docking else IN_DOCKING | FOREIGN
@@ -173,7 +173,12 @@ def _names(rng: Generator, kind: Kind, design: Design, pair: Pair | None) -> tup
     if kind == "healthy":
         return ()
     if kind == "alike":
-        return _alike_names(rng, design, pair)
+        if pair is not None:
+            return pair
+        acting = set(acting_in(design))
+        pairs = [p for p in LOOK_ALIKES if set(p) <= acting]
+        first, second = pairs[int(rng.integers(len(pairs)))]
+        return (first, second) if rng.random() < 0.5 else (second, first)
     if kind == "foreign":
         table = FOREIGN if design == "bumper" else foreign_in(design)
         return (str(rng.choice(list(table))),)
@@ -182,21 +187,6 @@ def _names(rng: Generator, kind: Kind, design: Design, pair: Pair | None) -> tup
         other = [n for n in acting_in(design) if not any(alike(n, name) for name in names)]
         names += (str(rng.choice(other)),)
     return names
-
-
-def _alike_names(rng: Generator, design: Design, pair: Pair | None) -> tuple[str, ...]:
-    """The effect to hide and its rival."""
-    if pair is not None:
-        return pair
-    acting = acting_in(design)
-    pairs = [p for p in LOOK_ALIKES if set(p) <= set(acting)]
-    first, second = pairs[int(rng.integers(len(pairs)))]
-    return (first, second) if rng.random() < 0.5 else (second, first)
-
-
-def _ordered(chosen: tuple[str, ...]) -> Pair:
-    first, second = chosen
-    return (first, second) if (first, second) in LOOK_ALIKES else (second, first)
 
 
 def _design(rng: Generator, names: tuple[str, ...]) -> frozenset[str]:

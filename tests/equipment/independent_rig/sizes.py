@@ -81,9 +81,7 @@ def scaled(
     digits: int = 4,
     least: Callable[[Facility], float] | None = None,
 ) -> Number:
-    """A share between `low` and `high`, of either sign if `signed`, times the scale, as a size in
-    the facility; at least `least` times the scale.
-    """
+    """A share between `low` and `high`, times the scale, as a size in the facility, or `least`."""
 
     def draw(rng: Generator, f: Facility, s: float) -> float:
         way = sign(rng) if signed else 1.0
@@ -115,9 +113,7 @@ def factor(low: float, high: float) -> Number:
 
 
 def lateness(low: float = 0.04, high: float = 0.1, longest: float = 7e-3) -> Number:
-    """A time [s] that is a small phase of the contact's oscillation, but not too short to be
-    observable in the loop.
-    """
+    """A time [s] that is a small phase of the contact's oscillation, but observable in the loop."""
 
     def draw(rng: Generator, f: Facility, s: float) -> float:
         time = rng.uniform(low, high) / (2.0 * math.pi * f.frequency)
@@ -194,10 +190,6 @@ def _scale(rng: Generator, f: Facility, s: float) -> dict:
     return {"factor": factor(0.02, 0.07)(rng, f, s), "axis": axis}
 
 
-def _hum(rng: Generator, f: Facility, s: float) -> float:
-    return rounded(rng.choice([50.0, 60.0, 100.0, rng.uniform(15.0, 150.0)]))
-
-
 def _crosstalk(rng: Generator, f: Facility, s: float) -> dict:
     source, axis = (str(v) for v in rng.choice(AXES, 2, replace=False))
     ratio = scaled(0.03, 0.08, signed=True)(rng, f, s)
@@ -230,7 +222,9 @@ SIZES: dict[str, Draw] = {
     "sensor.deadzone": {"width": _deadzone},
     "sensor.saturation": {"limit": below(0.2, 0.4, of("top_peak"))},
     "sensor.hum": {
-        "frequency": _hum,
+        "frequency": lambda rng, f, s: rounded(
+            rng.choice([50.0, 60.0, 100.0, rng.uniform(15.0, 150.0)])
+        ),
         "amplitude": scaled(5.0, 12.0, of_noise),
         "phase": between(-math.pi, math.pi),
         "axis": "z",
