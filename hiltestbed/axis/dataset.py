@@ -172,12 +172,10 @@ class LoadedAxis:
     def units(self) -> tuple[str, str]:
         """The SI units of input and output; of an arm with joints of both kinds, of either."""
         a, b = QUANTITIES[self.spec.axis]
-        if self.arm is not None:
-            mixed = len(set(self.arm.turns.values())) > 1
-            rotates = next(iter(self.arm.turns.values()))
-            return (" or ".join(a), " or ".join(b)) if mixed else (a[rotates], b[rotates])
-        rotates = isinstance(self.spec, AxisDataset) and self.spec.rotates
-        return a[rotates], b[rotates]
+        if isinstance(self.spec, AxisDataset):
+            return a[self.spec.rotates], b[self.spec.rotates]
+        turns = sorted(set(self.arm.turns.values())) if self.arm is not None else ()
+        return " or ".join(a[k] for k in turns), " or ".join(b[k] for k in turns)
 
     def model(self) -> AxisModel:
         """The nominal model of the records."""
@@ -330,9 +328,7 @@ def _read(
 
 
 def _unloaded(u: Array, y: Array) -> int:
-    """Rows of the longest stretch over which a displacement changes by a share :data:`FREE_TRAVEL`
-    of its range and the force is noise; 0: there is none.
-    """
+    """Rows of the longest stretch over which a displacement changes without a force; 0: none."""
     still = np.r_[False, np.abs(y) < FREE_SIGMA * noise_of(y), False]
     begins, ends = np.flatnonzero(np.diff(still)).reshape(-1, 2).T
     moved = [np.ptp(u[a:b]) > FREE_TRAVEL * np.ptp(u) for a, b in zip(begins, ends, strict=True)]
