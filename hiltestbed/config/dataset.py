@@ -21,13 +21,12 @@ from hiltestbed.config.validation import Strictly, validate
 from hiltestbed.config.yaml_source import KeyPath, Source, read_source, referenced_source
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.measured.formats import AnyFormat, data_file, no_file
+from hiltestbed.measured.roles import channel_of, role_of
 from hiltestbed.plugins import depends
 from hiltestbed.run_folder.folders import is_file
 from hiltestbed.scenario import Scenario
 
 MISSPELT = 0.8  # likeness of two names, above which one is taken for a misspelling of the other
-FORCE_PARTS = ("fx", "fy", "fz", "tx", "ty", "tz")
-COMMANDED = ("cmd", "com", "des", "ref", "set", "target")  # in the name of a commanded pose
 Check = Literal["unit", "sign", "axes", "start", "attitude", "lever", "copy", "constant", "shift"]
 
 
@@ -219,11 +218,6 @@ def _meant(name: str, known: Iterable[str]) -> str | None:
     close = difflib.get_close_matches(name, sorted(known), n=1, cutoff=MISSPELT)
     if close:
         return close[0]
-    group, _, part = name.rpartition(".")
-    family, other, words = (
-        ("wrench_meas", "wrench_comp", ("comp",))
-        if part in FORCE_PARTS
-        else ("pose_act", "pose_cmd", COMMANDED)
-    )
-    guess = f"{other if any(word in group.lower() for word in words) else family}.{part}"
+    role = role_of(name)
+    guess = channel_of(role, role.part)
     return guess if guess in known else None
