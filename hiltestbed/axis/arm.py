@@ -10,7 +10,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,10 +49,6 @@ class Arm:
     bodies: tuple[str, ...]
     joints: Mapping[str, Mapping[str, float]]
 
-    @cached_property
-    def _inertial(self) -> list[Array]:
-        return [i.toDynamicParameters() for i in list(self.pinocchio.inertias)[1:]]
-
     @property
     def turns(self) -> dict[str, bool]:
         """Whether a joint turns, or slides, by name."""
@@ -68,7 +63,8 @@ class Arm:
             law.numbers[[VISCOUS, VISCOUS_BACK]] = own["viscous"]
             law.numbers[[COULOMB, COULOMB_BACK]] = own["coulomb"]
             law.numbers[OFFSET] = own["offset"]
-        bodies = dict(zip(self.bodies, self._inertial, strict=True))
+        inertial = [i.toDynamicParameters() for i in list(self.pinocchio.inertias)[1:]]
+        bodies = dict(zip(self.bodies, inertial, strict=True))
         return ArmNumbers(laws, {n: own["armature"] for n, own in self.joints.items()}, bodies)
 
     def regressor(self, motions: Sequence[Motion]) -> Array:
@@ -108,7 +104,8 @@ def read_arm(path: Path, given: Mapping[str, Mapping[str, float]]) -> Arm:
     if not path.is_file():
         raise InputError(f"{path}: is no file; model: takes the URDF or MJCF of the arm")
     try:
-        model = _from_urdf(path) if path.suffix.lower() == ".urdf" else _from_mjcf(path)
+        of_urdf = path.suffix.lower() == ".urdf"
+        model = pin.buildModelFromUrdf(str(path)) if of_urdf else _from_mjcf(path)
     except (ValueError, RuntimeError) as error:
         why = str(error).strip().splitlines()[-1].strip().removeprefix("message: ")
         raise InputError(
@@ -130,23 +127,18 @@ def read_arm(path: Path, given: Mapping[str, Mapping[str, float]]) -> Arm:
         next((f.name for f in model.frames if f.parentJoint == i and "BODY" in str(f.type)), name)
         for i, name in enumerate(names, 1)
     ]
-    numbers = {}
-    for i, name in enumerate(names):
-        stated = {
-            "gain": 1.0,
-            "viscous": float(model.damping[i]),
-            "coulomb": float(model.upperDryFrictionLimit[i]),
-            "offset": 0.0,
-            "armature": float(model.armature[i]),
-        }
-        numbers[name] = stated | dict(given[name])
+    stated = zip(
+        names,
+        model.damping.tolist(),
+        model.upperDryFrictionLimit.tolist(),
+        model.armature.tolist(),
+        strict=True,
+    )
+    numbers = {
+        name: {"gain": 1.0, "viscous": c, "coulomb": f, "offset": 0.0, "armature": a, **given[name]}
+        for name, c, f, a in stated
+    }
     return Arm(model, tuple(bodies), numbers)
-
-
-def _from_urdf(path: Path) -> Any:
-    import pinocchio as pin
-
-    return pin.buildModelFromUrdf(str(path))
 
 
 def _from_mjcf(path: Path) -> Any:
@@ -173,9 +165,7 @@ class ArmRun(NamedTuple):
 
 
 class _Moved(NamedTuple):
-    """The joints that move in a run, by number, each with its inverse record and the rows of the
-    regressor (N, 10 B) for its torque.
-    """
+    """The joints that move in a run, by number, with inverse records and regressors (N, 10 B)."""
 
     joints: list[int]
     inverse: list[InverseRecord]
@@ -275,7 +265,6 @@ class ArmModel(AxisModel):
             [m.x for m in motions],
             motions,
             force=largest([gain * x.input for x in own]),
-            duration=max(float(m.t[-1] - m.t[0]) for m in motions),
             resists=True,
         )
 

@@ -22,7 +22,6 @@ from hiltestbed.frames import quat_to_mujoco
 LEAST = 1e-9
 COMPILER = f'<compiler balanceinertia="true" boundmass="{LEAST}" boundinertia="{LEAST}"/>'
 IMPOSSIBLE = 1e-6  # of the moments of a body, rounding apart
-OWN = 3  # lines of a body before those of the bodies that it carries
 
 
 def arm_mjcf(
@@ -66,14 +65,17 @@ def arm_mjcf(
             f'  <inertial pos="{listed(inertia.lever)}" mass="{number(inertia.mass)}" '
             f'fullinertia="{listed(about)}"/>',
         ]
-    for i in reversed(range(1, tree.njoints)):  # what a body carries stands in it, in order
-        whole, carrier = [*bodies[i], "</body>"], tree.parents[i]
-        if carrier:
-            bodies[carrier][OWN:OWN] = [f"  {line}" for line in whole]
-        else:
-            bodies[0][:0] = whole
+
+    def carried(by: int) -> list[str]:
+        return [
+            line
+            for i in range(1, tree.njoints)
+            if tree.parents[i] == by
+            for line in (*bodies[i], *(f"  {inner}" for inner in carried(i)), "</body>")
+        ]
+
     sections = {
-        "worldbody": bodies[0],
+        "worldbody": carried(0),
         "actuator": [text for joint in joints for text in joint.actuators],
         "sensor": [joint.sensor() for joint in joints],
     }

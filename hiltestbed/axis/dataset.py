@@ -28,14 +28,13 @@ from hiltestbed.axis.effects.base import AXIS_EFFECTS, AxisEffect, AxisKind, Bod
 from hiltestbed.axis.models import AxisModel, AxisRun, model_of
 from hiltestbed.axis.motion import noise_of
 from hiltestbed.axis.records import RecordFormat, Signal, read_record
-from hiltestbed.config.dataset import Channel
-from hiltestbed.config.validation import Strictly, validate
+from hiltestbed.config.dataset import Channel, RunFile, missing_files
+from hiltestbed.config.validation import NotNegative, Positive, Strictly, validate
 from hiltestbed.config.yaml_source import Source, read_source
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array
-from hiltestbed.measured.formats import AnyFormat, data_file, no_file
+from hiltestbed.measured.formats import AnyFormat
 from hiltestbed.plugins import OneOf, depends
-from hiltestbed.run_folder.folders import is_file
 
 # standard deviations of its noise below which a force is none; the share of the range over which a
 # displacement then changes by more than a loaded damper's does where it turns
@@ -52,30 +51,22 @@ QUANTITIES: dict[AxisKind, tuple[tuple[str, str], tuple[str, str]]] = {
 class Nominal(Strictly):
     """What the owner believes of the axis; what is left out is none."""
 
-    mass: Annotated[float, Field(gt=0.0)] | None = Field(
+    mass: Positive | None = Field(
         default=None, description="of a drive: moved mass [kg], or inertia [kg m^2] where it turns"
     )
-    gain: Annotated[float, Field(gt=0.0)] = Field(
+    gain: Positive = Field(
         default=1.0, description="of a drive: force or torque per unit of its input, such as N/A"
     )
-    viscous: Annotated[float, Field(ge=0.0)] = Field(
-        default=0.0, description="of a drive: viscous friction [N s/m]"
-    )
-    coulomb: Annotated[float, Field(ge=0.0)] = Field(
-        default=0.0, description="of a drive: dry friction [N]"
-    )
+    viscous: NotNegative = Field(default=0.0, description="of a drive: viscous friction [N s/m]")
+    coulomb: NotNegative = Field(default=0.0, description="of a drive: dry friction [N]")
     offset: float = Field(default=0.0, description="of a drive: constant force against it [N]")
-    delay: Annotated[float, Field(ge=0.0)] = Field(
-        default=0.0, description="of a servo: from command to position [s]"
-    )
-    bandwidth: Annotated[float, Field(gt=0.0)] | None = Field(
+    delay: NotNegative = Field(default=0.0, description="of a servo: from command to position [s]")
+    bandwidth: Positive | None = Field(
         default=None, description="of a servo: natural frequency [Hz]; left out: it follows"
     )
-    damping_ratio: Annotated[float, Field(gt=0.0)] = Field(
-        default=0.7, description="of a servo with a bandwidth"
-    )
+    damping_ratio: Positive = Field(default=0.7, description="of a servo with a bandwidth")
     stiffness: float = Field(default=0.0, description="of a damper [N/m]")
-    damping: Annotated[float, Field(ge=0.0)] = Field(default=0.0, description="of a damper [N s/m]")
+    damping: NotNegative = Field(default=0.0, description="of a damper [N s/m]")
     preload: float = Field(default=0.0, description="of a damper: constant force [N]")
 
 
@@ -86,61 +77,49 @@ NUMBERS: dict[AxisKind, tuple[str, ...]] = {
 }
 
 
-class RunFile(Strictly):
-    """A file of measured data."""
-
-    file: Annotated[str, Field(min_length=1)] = Field(
-        description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, or a folder of a ROS 2 bag with "
-        "one MCAP file, relative to the folder of this file; ${NAME}: an environment variable"
-    )
-    format: AnyFormat | None = Field(
-        default=None, description="format of this file, where it differs from the others"
-    )
-
-
-class AxisRunEntry(RunFile):
-    """One run of an axis."""
-
-    channels: dict[Literal["t", "input", "output"], Channel] = Field(
-        default={}, description="channels that are mapped differently in this file"
-    )
-
-
-AxisEffects = Annotated[tuple[Annotated[AxisEffect, OneOf(AXIS_EFFECTS)], ...], Field(strict=False)]
-
-
 class JointNumbers(Strictly):
     """What the owner believes of a joint; what is left out is what the arm's model states."""
 
-    gain: Annotated[float, Field(gt=0.0)] | None = Field(
+    gain: Positive | None = Field(
         default=None, description="torque or force per unit of its input, such as N m/A; else 1"
     )
-    viscous: Annotated[float, Field(ge=0.0)] | None = Field(
-        default=None, description="viscous friction [N m s/rad]"
-    )
-    coulomb: Annotated[float, Field(ge=0.0)] | None = Field(
-        default=None, description="dry friction [N m]"
-    )
+    viscous: NotNegative | None = Field(default=None, description="viscous friction [N m s/rad]")
+    coulomb: NotNegative | None = Field(default=None, description="dry friction [N m]")
     offset: float | None = Field(default=None, description="constant torque against it [N m]")
-    armature: Annotated[float, Field(ge=0.0)] | None = Field(
+    armature: NotNegative | None = Field(
         default=None, description="inertia of the rotor at the joint [kg m^2]"
     )
 
 
-class ArmRunEntry(RunFile):
-    """One run of an arm."""
+class _Runs(Strictly):
+    """What the files of an axis and of an arm have in common."""
 
-    channels: dict[str, Channel] = Field(
-        default={}, description="channels that are mapped differently in this file"
+    axis: str
+    name: str = Field(default="", description="Name of the axis or arm")
+    description: str = Field(default="", description="Where the data come from")
+    effects: Annotated[
+        tuple[Annotated[AxisEffect, OneOf(AXIS_EFFECTS)], ...], Field(strict=False)
+    ] = Field(
+        default=(), description="departures that are known; of an arm, each with its joint or body"
     )
+    runs: Annotated[tuple[RunFile, ...], Field(strict=False, min_length=1)] = Field(
+        description="the measured runs, one file each"
+    )
+    channels: dict[str, Channel] = Field(
+        default={},
+        description="columns of t, input and output, or of t and, of each joint of an arm, "
+        "JOINT.position and JOINT.input; left out: columns of that name",
+    )
+    rate: Positive | None = Field(
+        default=None, description="sample rate [Hz] of files without a column of times"
+    )
+    format: AnyFormat | None = Field(default=None, description="how the files are written")
 
 
-class ArmDataset(Strictly):
+class ArmDataset(_Runs):
     """Measured runs of an arm of several joints, and the model of it."""
 
     axis: Literal["arm"] = Field(description="arm: motion of its joints to their torques")
-    name: str = Field(default="", description="Name of the arm")
-    description: str = Field(default="", description="Where the data come from")
     model: Annotated[str, Field(min_length=1)] = Field(
         description="URDF (.urdf) or MJCF of the arm, relative to the folder of this file: bodies, "
         "gravity, and what it states of friction"
@@ -149,54 +128,24 @@ class ArmDataset(Strictly):
         description="the recorded joints, each with what is believed beside the model; the others "
         "of the model stay at zero"
     )
-    effects: AxisEffects = Field(
-        default=(), description="departures that are known, each with its joint or body"
-    )
-    runs: Annotated[tuple[ArmRunEntry, ...], Field(strict=False, min_length=1)] = Field(
-        description="the measured runs, one file each"
-    )
-    channels: dict[str, Channel] = Field(
-        default={},
-        description="columns of t and, of each joint, JOINT.position and JOINT.input; left out: "
-        "columns of that name",
-    )
-    rate: Annotated[float, Field(gt=0.0)] | None = Field(
-        default=None, description="sample rate [Hz] of files without a column of times"
-    )
-    format: AnyFormat | None = Field(default=None, description="how the files are written")
 
 
-class AxisDataset(Strictly):
+class AxisDataset(_Runs):
     """Measured runs of one axis, and what its owner believes of it."""
 
     axis: Literal["drive", "servo", "damper"] = Field(
         description="drive: force or current to position; servo: command to position; damper: "
         "displacement to force"
     )
-    name: str = Field(default="", description="Name of the axis")
-    description: str = Field(default="", description="Where the data come from")
     rotates: bool = Field(
         default=False, description="whether it turns: positions in rad, forces as torques in N m"
     )
     nominal: Nominal = Field(default=Nominal(), description="what is believed of it")
-    effects: AxisEffects = Field(
-        default=(), description="departures from the nominal numbers that are known"
-    )
-    runs: Annotated[tuple[AxisRunEntry, ...], Field(strict=False, min_length=1)] = Field(
-        description="the measured runs, one file each"
-    )
-    channels: dict[Literal["t", "input", "output"], Channel] = Field(
-        default={}, description="columns of time, input and output; left out: columns of that name"
-    )
-    rate: Annotated[float, Field(gt=0.0)] | None = Field(
-        default=None, description="sample rate [Hz] of files without a column of times"
-    )
-    format: AnyFormat | None = Field(default=None, description="how the files are written")
 
 
 @depends
 def _rebuild() -> None:
-    for model in (AxisRunEntry, AxisDataset, ArmRunEntry, ArmDataset):
+    for model in (AxisDataset, ArmDataset):
         model.model_rebuild(force=True)
 
 
@@ -223,12 +172,10 @@ class LoadedAxis:
     def units(self) -> tuple[str, str]:
         """The SI units of input and output; of an arm with joints of both kinds, of either."""
         a, b = QUANTITIES[self.spec.axis]
-        if self.arm is not None:
-            mixed = len(set(self.arm.turns.values())) > 1
-            rotates = next(iter(self.arm.turns.values()))
-            return (" or ".join(a), " or ".join(b)) if mixed else (a[rotates], b[rotates])
-        rotates = isinstance(self.spec, AxisDataset) and self.spec.rotates
-        return a[rotates], b[rotates]
+        if isinstance(self.spec, AxisDataset):
+            return a[self.spec.rotates], b[self.spec.rotates]
+        turns = sorted(set(self.arm.turns.values())) if self.arm is not None else ()
+        return " or ".join(a[k] for k in turns), " or ".join(b[k] for k in turns)
 
     def model(self) -> AxisModel:
         """The nominal model of the records."""
@@ -259,15 +206,14 @@ def load_axis(path: str | Path | Source, data: bool = True) -> LoadedAxis:
     source = path if isinstance(path, Source) else read_source(path)
     of_arm = isinstance(source.data, dict) and source.data.get("axis") == "arm"
     spec: AxisDataset | ArmDataset = validate(ArmDataset if of_arm else AxisDataset, source)
-    faults = list(_faults(spec, source))
-    arm = None
-    if isinstance(spec, ArmDataset):
-        try:
-            arm = arm_of(spec, source)
-        except InputError as error:
-            faults.append(source.fault(("model",), str(error)))
-        else:
-            faults += _misplaced(spec, arm, source)
+    faults, arm = [], None
+    try:
+        arm = arm_of(spec, source) if isinstance(spec, ArmDataset) else None
+    except InputError as error:
+        faults.append(source.fault(("model",), str(error)))
+    else:
+        faults += _misplaced(spec, arm, source)
+    faults += _faults(spec, source)
     if faults:
         raise InputError(faults)
     records, remarks = [], []
@@ -293,9 +239,11 @@ def arm_of(spec: ArmDataset, source: Source) -> Arm:
     return read_arm(source.folder / os.path.expandvars(spec.model), given)
 
 
-def _misplaced(spec: ArmDataset, arm: Arm, source: Source) -> Iterator[Fault]:
-    """Channels and effects of joints and bodies that the arm lacks."""
-    signals = ["t", *(f"{j}.{s}" for j in arm.joints for s in ("position", "input"))]
+def _misplaced(spec: AxisDataset | ArmDataset, arm: Arm | None, source: Source) -> Iterator[Fault]:
+    """Channels that are none of the axis, and effects of joints and bodies that the arm lacks."""
+    joints = arm.joints if arm is not None else ()
+    signals = ["t", *(f"{j}.{s}" for j in joints for s in ("position", "input"))]
+    signals = signals if arm is not None else ["t", "input", "output"]
     for where, channels in (
         (("channels",), spec.channels),
         *((("runs", i, "channels"), run.channels) for i, run in enumerate(spec.runs)),
@@ -304,6 +252,8 @@ def _misplaced(spec: ArmDataset, arm: Arm, source: Source) -> Iterator[Fault]:
             if name not in signals:
                 allowed = ", ".join(signals)
                 yield source.fault((*where, name), f"is no signal; allowed: {allowed}")
+    if arm is None:
+        return
     for index, effect in enumerate(spec.effects):
         if "arm" not in effect.axes:
             continue
@@ -343,20 +293,14 @@ def _faults(spec: AxisDataset | ArmDataset, source: Source) -> Iterator[Fault]:
                 f"does not act on {'an' if spec.axis == 'arm' else 'a'} {spec.axis} "
                 f"(got {effect.kind}); allowed: {', '.join(kinds)}",
             )
-    for index, run in enumerate(spec.runs):
-        where = data_file(source.folder / os.path.expandvars(run.file))
-        if not is_file(where):
-            yield source.fault(
-                ("runs", index, "file"), f"names no file (got {run.file!r}); {no_file(where)}"
-            )
+    yield from missing_files(spec.runs, source)
 
 
 def _read(
-    spec: AxisDataset | ArmDataset, run: AxisRunEntry | ArmRunEntry, source: Source, arm: Arm | None
+    spec: AxisDataset | ArmDataset, run: RunFile, source: Source, arm: Arm | None
 ) -> tuple[AxisRun | ArmRun, list[str]]:
-    path = data_file(source.folder / os.path.expandvars(run.file))
-    channels: dict[Any, Channel] = {**spec.channels, **run.channels}
-    how = RecordFormat(channels, run.format or spec.format, spec.rate)
+    path = run.path(source)
+    how = RecordFormat({**spec.channels, **run.channels}, run.format or spec.format, spec.rate)
     quantities = QUANTITIES[spec.axis]
     if isinstance(spec, AxisDataset):
         given, reached = (q[spec.rotates] for q in quantities)
@@ -384,9 +328,7 @@ def _read(
 
 
 def _unloaded(u: Array, y: Array) -> int:
-    """Rows of the longest stretch over which a displacement changes by a share :data:`FREE_TRAVEL`
-    of its range and the force is noise; 0: there is none.
-    """
+    """Rows of the longest stretch over which a displacement changes without a force; 0: none."""
     still = np.r_[False, np.abs(y) < FREE_SIGMA * noise_of(y), False]
     begins, ends = np.flatnonzero(np.diff(still)).reshape(-1, 2).T
     moved = [np.ptp(u[a:b]) > FREE_TRAVEL * np.ptp(u) for a, b in zip(begins, ends, strict=True)]

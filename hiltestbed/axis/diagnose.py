@@ -25,7 +25,7 @@ from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import Confirmed, SearchConclusion, conclude
 from hiltestbed.inference.likelihood import Likelihood, independent
 from hiltestbed.inference.model import Hypothesis
-from hiltestbed.inference.search import Searched, search
+from hiltestbed.inference.search import search
 
 OF_ROTATION = {  # units of an axis that slides, and of one that turns
     "m": "rad",
@@ -84,7 +84,9 @@ def diagnosed(model: AxisModel, progress: Progress | None = None) -> Diagnosed:
         return Diagnosed("inconclusive", (), (), (), None, np.zeros(0), model.floors, (why,))
     constant = np.array([spread(test.measured()) for _, _, test in model.folds()])
     with np.errstate(all="ignore"):
-        found = searched(model, progress)
+        none = Hypothesis((), np.zeros(0), np.zeros(len(model.nuisances)))
+        counts = independent(model.residuals(none))
+        found = search(Likelihood(model, counts), model.candidates(), progress)
         c = conclude(found, model.folds(), model.candidates(), progress)
     floors = np.maximum(model.floors, model.repeatability())
     kinds = {x.kind for x in model.candidates()}
@@ -94,13 +96,6 @@ def diagnosed(model: AxisModel, progress: Progress | None = None) -> Diagnosed:
     if verdict not in EXTENDING:
         causes, undetermined, extension = (), (), ()
     return Diagnosed(verdict, causes, undetermined, extension, c, constant, floors, remarks)
-
-
-def searched(model: AxisModel, progress: Progress | None = None) -> Searched:
-    """The hypotheses on a model, by their evidence."""
-    of = Hypothesis((), np.zeros(0), np.zeros(len(model.nuisances)))
-    counts = independent(model.residuals(of))
-    return search(Likelihood(model, counts), model.candidates(), progress)
 
 
 def spread(parts: Sequence[Array]) -> float:

@@ -16,6 +16,7 @@ Nucl. Energy Soc. 1, 1962), with play in series if ``PLAY`` is given, or rounds 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -88,6 +89,7 @@ class AxisLaw:
             rows[free[0]] = values
 
 
+@dataclass
 class ArmNumbers:
     """The numbers of an arm; effects change them in place.
 
@@ -98,10 +100,9 @@ class ArmNumbers:
             [kg m], second moments xx, xy, yy, xz, yz, zz about its origin [kg m^2].
     """
 
-    def __init__(
-        self, laws: dict[str, AxisLaw], armature: dict[str, float], bodies: dict[str, Array]
-    ) -> None:
-        self.laws, self.armature, self.bodies = laws, armature, bodies
+    laws: dict[str, AxisLaw]
+    armature: dict[str, float]
+    bodies: dict[str, Array]
 
 
 @njit(cache=True)

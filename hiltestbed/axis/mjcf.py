@@ -65,12 +65,8 @@ class MjcfModel:
     def body(self) -> list[str]:
         """The bodies: the axis, and what follows it."""
         about = self.inertia if self.rotates else 1.0
-        inertial = (
-            f'<inertial pos="{listed(self.pos)}" mass="{number(self.mass)}" '
-            f'diaginertia="{listed([about] * 3)}"/>'
-        )
-        axis = f'<body name="{self.name}">{self.joint_text(self.name, self.joint)}{inertial}</body>'
-        return [axis, *self.bodies]
+        joint = self.joint_text(self.name, self.joint)
+        return [_body(self.name, joint, self.pos, self.mass, about), *self.bodies]
 
     def option(self) -> str:
         return (
@@ -95,9 +91,7 @@ class MjcfModel:
     def follower(self, name: str, damping: float, inertia: float) -> None:
         """A light body with a joint beside the axis."""
         joint = self.joint_text(name, {"damping": damping})
-        size = number(inertia)
-        inertial = f'<inertial pos="0 0 0" mass="{size}" diaginertia="{size} {size} {size}"/>'
-        self.bodies.append(f'<body name="{name}">{joint}{inertial}</body>')
+        self.bodies.append(_body(name, joint, (0.0, 0.0, 0.0), inertia, inertia))
 
     def motor(self, gain: float) -> None:
         """What drives the joint: its control is the input."""
@@ -115,6 +109,11 @@ class MjcfModel:
                 f'<general name="{self.prefix}load" joint="{self.name}" gainprm="0" '
                 f'biastype="affine" biasprm="{number(force)} 0 0"/>'
             )
+
+
+def _body(name: str, joint: str, pos: Sequence[float], mass: float, about: float) -> str:
+    inertial = f'pos="{listed(pos)}" mass="{number(mass)}" diaginertia="{listed([about] * 3)}"'
+    return f'<body name="{name}">{joint}<inertial {inertial}/></body>'
 
 
 def mjcf_text(
@@ -159,7 +158,11 @@ def axis_model(spec: AxisDataset) -> MjcfModel:
     if spec.axis == "servo":
         _servo(model, servo_numbers(nominal, spec.effects))
     elif spec.axis == "drive":
-        _drive(model, drive_law(nominal, spec.effects))
+        law = drive_law(nominal, spec.effects)
+        n = law.numbers
+        model.motor(n[of.GAIN])
+        _inertia(model, n[of.MASS], n[of.GRAVITY_SIN], n[of.GRAVITY_COS])
+        resistance(model, law)
     else:
         _damper(model, damper_law(nominal, spec.effects))
     return model
@@ -210,13 +213,6 @@ def resistance(model: MjcfModel, law: AxisLaw) -> None:
             model.unsaid.append(f"{what}: left out")
 
 
-def _drive(model: MjcfModel, law: AxisLaw) -> None:
-    n = law.numbers
-    model.motor(n[of.GAIN])
-    _inertia(model, n[of.MASS], n[of.GRAVITY_SIN], n[of.GRAVITY_COS])
-    resistance(model, law)
-
-
 def _inertia(model: MjcfModel, inertia: float, sine: float, cosine: float) -> None:
     """The moved mass; a weight on a hinge is an eccentric one, of half the inertia."""
     what = "inertia" if model.rotates else "mass"
@@ -264,14 +260,13 @@ def _servo(model: MjcfModel, p: Array) -> None:
     if math.isfinite(limit):
         common += f' forcerange="{number(-limit)} {number(limit)}"'
         model.said.append("limit of the acceleration: the actuator's forcerange")
-    slew, integral = p[servo.SPEED], p[servo.INTEGRAL]
+    slew, integral, gain = p[servo.SPEED], p[servo.INTEGRAL], square * scale * scale
+    gear = f' gear="{number(1.0 / scale)}"' if scale != 1.0 else ""
     if math.isfinite(slew) or math.isfinite(integral):
         if first:
             model.unsaid.append(f"the pole before the controller ({first:.4g} s): left out")
         more = f' slewmax="{number(slew)}"' if math.isfinite(slew) else ""
-        gain = square * scale * scale
         more += f' ki="{number(gain / integral)}"' if math.isfinite(integral) else ""
-        gear = f' gear="{number(1.0 / scale)}"' if scale != 1.0 else ""
         model.actuators.append(f'<pid {common} input="pos" kp="{number(gain)}"{more}{gear}/>')
         model.said.append("speed limit or integral action: a pid actuator, slewmax and ki")
         if p[servo.OFFSET]:
@@ -280,8 +275,6 @@ def _servo(model: MjcfModel, p: Array) -> None:
             )
     else:
         lag = f' dyntype="filterexact" dynprm="{number(first)}"' if first else ""
-        gear = f' gear="{number(1.0 / scale)}"' if scale != 1.0 else ""
-        gain = square * scale * scale
         bias = f"{number(gain * p[servo.OFFSET] / scale)} {number(-gain)} 0"
         model.actuators.append(
             f'<general {common}{lag}{gear} gainprm="{number(gain)}" biastype="affine" '

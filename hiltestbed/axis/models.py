@@ -24,8 +24,7 @@ from hiltestbed.axis.law import (
     motion_under,
     stroke_before,
 )
-from hiltestbed.axis.motion import Motion, States, even, motion_of, noise_of
-from hiltestbed.axis.related import related
+from hiltestbed.axis.motion import Motion, States, even, motion_of, noise_of, related
 from hiltestbed.effects.departure import Departure
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
@@ -125,25 +124,24 @@ class AxisModel(Model):
         return self.scored(of)
 
     def residuals(self, of: Hypothesis) -> list[Array]:
-        return self._less_zeros(of, self._compared(of))
+        """Less their means, and the priors of what was taken off."""
+        left = self._compared(of)
+        means = np.array([float(np.mean(x)) for x in left])
+        priors = np.concatenate([of.nuisances / self.prior_sigma(), means / self._zeros()])
+        return [*(x - m for x, m in zip(left, means, strict=True)), priors]
 
     def _compared(self, of: Hypothesis) -> list[Array]:
         """(N,) measured less predicted of each record, with its zero."""
         return [y - p for y, p in zip(self.measured(), self.predicted(of), strict=True)]
-
-    def _less_zeros(self, of: Hypothesis, left: Sequence[Array]) -> list[Array]:
-        """Residuals less their means, and the priors of what was taken off."""
-        means = np.array([float(np.mean(x)) for x in left])
-        priors = np.concatenate([of.nuisances / self.prior_sigma(), means / self._zeros()])
-        return [*(x - m for x, m in zip(left, means, strict=True)), priors]
 
     def _zeros(self) -> Array:
         """(R,) standard deviation of the zero of each output."""
         return np.array([ZERO_ERROR * float(np.ptp(y)) for y in self.measured()])
 
     def scored(self, of: Hypothesis) -> list[Array]:
-        pairs = zip(self._compared(of), self._zeros(), strict=True)
-        return [_tared(x, 2.0 * zero) for x, zero in pairs]
+        # less the offset of its run, as far as its zero may be off
+        pairs = zip(self._compared(of), 2.0 * self._zeros(), strict=True)
+        return [x - min(max(float(np.mean(x)), -most), most) for x, most in pairs]
 
     def of_recorded(self) -> list[list[int]]:
         """The records of each of the :attr:`recorded`, by number."""
@@ -193,27 +191,17 @@ class AxisModel(Model):
     def _scale(
         self, places: Sequence[Array], motions: Sequence[Motion], **more: Any
     ) -> RecordScale:
-        """Of recorded places and the motions through them."""
-        speed = largest([m.v for m in motions])
+        """Of places and the motions through them, but for their most extreme thousandths."""
+        ends = (float(np.ptp(np.quantile(x, (0.001, 0.999)))) for x in places)
         return RecordScale(
-            travel=_span(places),
-            speed=speed,
-            slow=0.1 * speed,
+            travel=max(ends) or 1.0,
+            speed=largest([m.v for m in motions]),
             acceleration=largest([m.a for m in motions]),
             tick=float(np.median(self.ticks)),
+            duration=max(float(m.t[-1] - m.t[0]) for m in motions),
             rotates=self.rotates,
             **more,
         )
-
-
-def _tared(left: Array, most: float) -> Array:
-    """A residual less the offset of its run, as far as its zero may be off by ``most``."""
-    return left - min(max(float(np.mean(left)), -most), most)
-
-
-def _span(values: Sequence[Array]) -> float:
-    """The largest range of signals, but for their most extreme thousandths."""
-    return max(float(np.ptp(np.quantile(v, (0.001, 0.999)))) for v in values) or 1.0
 
 
 def largest(values: Sequence[Array]) -> float:
@@ -254,59 +242,51 @@ class DamperModel(AxisModel):
     kind = "damper"
 
     def _prepare(self) -> None:
-        self._even, self._slopes, self._motions, self._kept = [], [], [], []
+        self._rows: list[
+            tuple[Motion, Array, Array, np.ndarray]
+        ] = []  # motion, force, its slope, kept
         for r in self.records:
             t, x, y = even(r.t, r.u, r.y)
             motion = motion_of(t, x)
             few = np.arange(len(t))[rows_of(motion)]
             rows = np.union1d(few, motion.turns(RESOLVED_SIGMA))  # dry friction remembers them
-            self._even.append((t[rows], x[rows], y[rows]))
-            self._slopes.append(motion_of(t, y).v[rows])
-            self._motions.append(motion.thinned(rows))
-            # how it stood before the first row is not known
-            self._kept.append(np.isin(rows, few[1:]))
+            kept = np.isin(rows, few[1:])  # how it stood before the first row is not known
+            self._rows.append((motion.thinned(rows), y[rows], motion_of(t, y).v[rows], kept))
         self.floors = np.array([noise_of(r.y) for r in self.records])
 
     def candidates(self) -> tuple[Candidate, ...]:
-        m = self._motions
+        m = [m for m, *_ in self._rows]
         scale = self._scale(
             [x.x for x in m],
             m,
-            force=largest([y for _, _, y in self._even]),
-            duration=max(float(x.t[-1] - x.t[0]) for x in m),
+            force=largest([y for _, y, *_ in self._rows]),
             stiffness=self.nominal.get("stiffness", 0.0),
             damping=self.nominal.get("damping", 0.0),
         )
         return self._parts(scale)
 
     def states(self) -> list[States]:
-        rows = zip(self._motions, self._even, self._kept, strict=True)
         return [
-            States(*(part[kept] for part in (m.t, m.x, m.v, m.a, y)), turns=self.rotates)
-            for m, (_, _, y), kept in rows
+            States(m.t[kept], m.x[kept], m.v[kept], m.a[kept], y[kept], turns=self.rotates)
+            for m, y, _, kept in self._rows
         ]
-
-    def law(self, effects: Sequence[Departure]) -> AxisLaw:
-        """The law with ``effects``."""
-        return damper_law(self.nominal, (*self.believed, *effects))
 
     def _compared(self, of: Hypothesis) -> list[Array]:
         late = float(of.nuisances[0])
-        rows = zip(self._even, self._slopes, self._force(of), self._kept, strict=True)
-        return [(y + late * slope - f)[kept] for (_, _, y), slope, f, kept in rows]
+        rows = zip(self._rows, self._force(of), strict=True)
+        return [(y + late * slope - f)[kept] for (_, y, slope, kept), f in rows]
 
     def predicted(self, of: Hypothesis) -> list[Array]:
         late = float(of.nuisances[0])
         return [
-            np.interp(r.t - late, e[0], f)
-            for r, e, f in zip(self.records, self._even, self._force(of), strict=True)
+            np.interp(r.t - late, m.t, f)
+            for r, (m, *_), f in zip(self.records, self._rows, self._force(of), strict=True)
         ]
 
     def _force(self, of: Hypothesis) -> list[Array]:
         """(N,) at the even times."""
-        law = self.law(of.effects())
-        pairs = zip(self._motions, self._even, strict=True)
-        return [along(m, law, y[:START_ROWS]) for m, (_, _, y) in pairs]
+        law = damper_law(self.nominal, (*self.believed, *of.effects()))
+        return [along(m, law, y[:START_ROWS]) for m, y, *_ in self._rows]
 
 
 class DriveModel(AxisModel):
@@ -341,17 +321,15 @@ class DriveModel(AxisModel):
             [x.x for x in m],
             m,
             force=largest([r.input * self.nominal.get("gain", 1.0) for r in self._inverse]),
-            duration=max(float(x.t[-1] - x.t[0]) for x in m),
             resists=any(self.nominal.get(k, 0.0) for k in RESISTANCES) or bool(self.believed),
         )
         return self._parts(scale)
 
-    def law(self, effects: Sequence[Departure]) -> AxisLaw:
-        """The law with ``effects``."""
-        return drive_law(self.nominal, (*self.believed, *effects))
+    def _law(self, of: Hypothesis) -> AxisLaw:
+        return drive_law(self.nominal, (*self.believed, *of.effects()))
 
     def residuals(self, of: Hypothesis) -> list[Array]:
-        law, late = self.law(of.effects()), float(of.nuisances[0])
+        law, late = self._law(of), float(of.nuisances[0])
         left = [r.left(along(r.motion, law) / law.numbers[GAIN], late) for r in self._inverse]
         return [*left, of.nuisances / self.prior_sigma()]
 
@@ -371,7 +349,7 @@ class DriveModel(AxisModel):
         return MovedModel(self.records, self.nominal, self.rotates, self.believed)
 
     def predicted(self, of: Hypothesis) -> list[Array]:
-        law, late = self.law(of.effects()), float(of.nuisances[0])
+        law, late = self._law(of), float(of.nuisances[0])
         out = []
         for r in self.records:
             x0, v0 = started(r, late, law.numbers)
@@ -409,7 +387,6 @@ class ServoModel(AxisModel):
             [r.y for r in self.records],
             [motion_of(t, y) for t, y in (even(r.t, r.y) for r in self.records)],
             force=0.0,
-            duration=max(float(r.t[-1] - r.t[0]) for r in self.records),
         )
         return self._parts(scale)
 
@@ -422,13 +399,9 @@ class ServoModel(AxisModel):
             out.append(States(r.t, x, v, a, turns=self.rotates))
         return out
 
-    def numbers(self, effects: Sequence[Departure]) -> Array:
-        """The numbers of the response with ``effects``."""
-        return servo_numbers(self.nominal, (*self.believed, *effects))
-
     def predicted(self, of: Hypothesis) -> list[Array]:
-        p, late = self.numbers(of.effects()), float(of.nuisances[0])
-        p[servo.DELAY] += late
+        p = servo_numbers(self.nominal, (*self.believed, *of.effects()))
+        p[servo.DELAY] += float(of.nuisances[0])
         fastest = max(p[servo.BANDWIDTH] * max(1.0, p[servo.ZETA]), 1e-9)
         step = min(LONGEST_RESPONSE, 1.0 / (STEPS_A_RADIAN * fastest))
         return [servo.response(r.t, r.u, float(r.y[0]), p, step) for r in self.records]

@@ -154,9 +154,7 @@ def _joined(states: Sequence[States], part: str) -> Array:
 
 
 def _followed(left: Sequence[Array], values: Mapping[str, Array]) -> Correlate | None:
-    """The quantity whose parts have means that hold most of the squares, beyond what as many means
-    of the independent samples of noise would.
-    """
+    """The quantity whose parts have means that hold most of the squares, beyond those of noise."""
     y, count = np.concatenate(left), float(np.sum(independent([*left, np.zeros(0)])))
     found = None
     for name, x in values.items():
@@ -190,9 +188,7 @@ def _dense(y: Array, values: Mapping[str, Array]) -> Dense | None:
 
 
 def _band(left: Sequence[Array], times: Sequence[Array]) -> tuple[float, float]:
-    """Frequencies [Hz] between which half of the power of residuals lies, the shortest range of
-    their logarithm.
-    """
+    """The shortest range of frequencies [Hz], by their logarithm, with half of the power."""
     places, sizes = [], []
     for y, t in zip(left, times, strict=True):
         at, x = even(t, y)

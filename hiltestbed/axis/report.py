@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hiltestbed.axis.effects.base import AXIS_EFFECTS
+from hiltestbed.axis.result import estimate
 from hiltestbed.report.page import Report, new_figure
 from hiltestbed.run_folder.store import whole_folder
 
@@ -77,8 +78,7 @@ def page_of(d: AxisFinding) -> Report:
             (
                 cause.effect + ("" if cause in d.causes else " (not determined)"),
                 name,
-                (value if isinstance(value, str) else f"{value:.5g}")
-                + ("" if ends is None else f" ({ends[0]:.4g} to {ends[1]:.4g})"),
+                estimate(value, ends),
                 own,
                 f"{100.0 * cause.gain:.0f} %",
                 f"{cause.probability:.2f}",

@@ -58,17 +58,11 @@ class AxisCause:
     def words(self) -> str:
         """`dynamics.mass [factor 0.953 (0.931 to 0.978)]`."""
         inner = ", ".join(
-            (f"{name} {value}" if isinstance(value, str) else f"{name} {value:.4g}")
-            + (f" ({ends[0]:.4g} to {ends[1]:.4g})" if ends is not None else "")
-            + ("" if unit in ("-", "") else f" {unit}")
+            f"{name} {estimate(value, ends)}" + ("" if unit in ("-", "") else f" {unit}")
             for name, (value, ends, unit) in self.parameters.items()
         )
-        rivals = (
-            f", indistinguishable from {' or '.join(self.indistinguishable_from)}"
-            if self.indistinguishable_from
-            else ""
-        )
-        return f"{self.effect} [{inner}]{rivals}"
+        others = " or ".join(self.indistinguishable_from)
+        return f"{self.effect} [{inner}]" + (f", indistinguishable from {others}" if others else "")
 
     def to_json(self) -> dict[str, Any]:
         """As it stands in diagnosis.json."""
@@ -113,12 +107,6 @@ class AxisFinding:
     @property
     def name(self) -> str:
         return self.loaded.name
-
-    @property
-    def link(self) -> str | None:
-        """The link of the loop that departs."""
-        quiet = self.verdict in ("no_discrepancy", "inconclusive")
-        return None if quiet else LINKS[self.loaded.spec.axis]
 
     @property
     def extends(self) -> bool:
@@ -193,10 +181,6 @@ class AxisFinding:
             f"{together(c.alone):.3g} {unit}."
         )
 
-    def _compared(self) -> int:
-        """Whether the likelihood compares inputs (0) or outputs (1)."""
-        return 0 if self.loaded.spec.axis == "drive" else 1
-
     def to_json(self) -> dict[str, Any]:
         """The contents of diagnosis.json: plain data without infinities."""
         c, (_, unit) = self.conclusion, self.loaded.units()
@@ -205,7 +189,9 @@ class AxisFinding:
             "axis": self.loaded.spec.axis,
             "verdict": self.verdict,
             "sentence": self.sentence(),
-            "link": self.link,
+            "link": LINKS[self.loaded.spec.axis]
+            if self.extends or self.verdict == "unknown"
+            else None,
             "causes": [x.to_json() for x in self.causes],
             "undetermined": [x.to_json() for x in self.undetermined],
             "not_judged": {},
@@ -229,8 +215,9 @@ class AxisFinding:
         before, after = c.before, c.after
         out["heldout"] = heldout([name for name, _, _ in self.model.folds()], before, after)
         out["explained"] = 1.0 - float(np.sum(after**2) / np.sum(before**2))
-        rms, compared = c.fit.rms(), self._compared()
-        noise = self.floors if compared else np.array([noise_of(r.y) for r in self.model.records])
+        rms, noise = c.fit.rms(), self.floors
+        if self.loaded.spec.axis == "drive":  # the likelihood compares its input
+            noise = np.array([noise_of(r.y) for r in self.model.records])
         parts = zip(self.model.folds(), self.model.of_folds(), before, after, strict=True)
         out["residuals"] = [
             {
@@ -254,6 +241,12 @@ class AxisFinding:
         return finite(out)
 
 
+def estimate(value: Any, ends: tuple[float, float] | None) -> str:
+    """`0.953 (0.931 to 0.978)`: a value and its interval."""
+    shown = value if isinstance(value, str) else f"{value:.4g}"
+    return shown + ("" if ends is None else f" ({ends[0]:.4g} to {ends[1]:.4g})")
+
+
 def together(rms: Array) -> float:
     """rms of several signals of one size."""
     return float(np.sqrt(np.mean(rms * rms)))
@@ -264,12 +257,12 @@ def heldout(runs: Sequence[str], before: Array, after: Array) -> dict[str, Any]:
     draws = np.random.default_rng(0).integers(0, len(runs), (1000, len(runs)))
     gains = 1.0 - np.sqrt((after**2)[draws].sum(axis=1) / (before**2)[draws].sum(axis=1))
     low, high = (float(v) for v in np.percentile(gains, [2.5, 97.5]))
-    rms = [float(np.sqrt(np.mean(x**2))) for x in (before, after)]
+    first, last = together(before), together(after)
     return {
         "runs": list(runs),
-        "rms_before": rms[0],
-        "rms_after": rms[1],
-        "reduction": 1.0 - rms[1] / rms[0] if rms[0] > 0.0 else 0.0,
+        "rms_before": first,
+        "rms_after": last,
+        "reduction": 1.0 - last / first if first > 0.0 else 0.0,
         "ci95": (low, high),
         "placebo_reduction": None,
         "per_run": [

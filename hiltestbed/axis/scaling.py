@@ -40,9 +40,7 @@ def scaling_of(model: AxisModel) -> list[tuple[str, float]]:
 
 
 def _factor(believed: Array, measured: Array, aside: Sequence[Array]) -> tuple[float, float]:
-    """By what the ``believed`` signal (N,) has to be multiplied to be the ``measured`` one, beside
-    others, and which share of the squares that those leave it then explains.
-    """
+    """``measured`` over ``believed`` (N,) ``aside`` from others, and the share that it explains."""
     if not len(measured):
         return 1.0, 0.0
     others = np.column_stack(aside)

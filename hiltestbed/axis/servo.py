@@ -49,37 +49,9 @@ def following() -> np.ndarray:
 
 
 @njit(cache=True)
-def commanded(t, u, at):
-    """The command (N,), linear between its rows at times ``t`` and held beyond them, at ``at``."""
-    n = len(t)
-    if at <= t[0]:
-        return u[0]
-    if at >= t[n - 1]:
-        return u[n - 1]
-    low = np.searchsorted(t, at, side="right") - 1
-    return u[low] + (at - t[low]) / (t[low + 1] - t[low]) * (u[low + 1] - u[low])
-
-
-@njit(cache=True)
-def _decay(w, zeta, h):
-    """Of z'' + 2 zeta w z' + w^2 z = 0 the four numbers that take (z, z') over a step ``h`` [s]."""
-    s, square = zeta * w, w * w * (1.0 - zeta * zeta)
-    if square > 0.0:
-        root = math.sqrt(square)
-        c, b = math.cos(root * h), math.sin(root * h) / root
-    elif square < 0.0:
-        root = math.sqrt(-square)
-        c, b = math.cosh(root * h), math.sinh(root * h) / root
-    else:
-        c, b = 1.0, h
-    e = math.exp(-s * h)
-    return e * (c + s * b), e * b, -e * w * w * b, e * (c - s * b)
-
-
-@njit(cache=True)
 def response(t, u, y0, p, longest):
-    """``(N,)`` positions at the times ``t`` of an axis under the command ``u`` (N,), which stands
-    at ``y0`` at first.
+    """``(N,)`` positions at the times ``t`` of an axis under the command ``u`` (N,), linear between
+    its rows and held beyond them, which stands at ``y0`` at first.
 
     The controller moves in steps of at most ``longest`` [s], each exact for a command that is
     linear over it and a friction of one sign; where the motion turns, it stops at the turn.
@@ -87,6 +59,7 @@ def response(t, u, y0, p, longest):
     n = len(t)
     out = np.empty(n)
     w, zeta, most = p[BANDWIDTH], p[ZETA], p[ACCELERATION]
+    s, root = zeta * w, w * math.sqrt(abs(1.0 - zeta * zeta))
     gap = 0.5 * p[PLAY]
     # all that moves rests where the record begins
     x = (y0 - p[OFFSET]) / p[SCALE] if p[SCALE] != 0.0 else 0.0
@@ -98,19 +71,23 @@ def response(t, u, y0, p, longest):
         pieces = max(1, int(math.ceil(dt / longest - 1e-9))) if k > 0 else 0
         h = dt / max(pieces, 1)
         if w > 0.0 and h > 0.0 and abs(h - stepped) > 1e-12:
-            a, b, c, d = _decay(w, zeta, h)
+            # what takes (z, z') of z'' + 2 zeta w z' + w^2 z = 0 over the step
+            e, even, odd = math.exp(-s * h), 1.0, h
+            if zeta < 1.0:
+                even, odd = math.cos(root * h), math.sin(root * h) / root
+            elif zeta > 1.0:
+                even, odd = math.cosh(root * h), math.sinh(root * h) / root
+            a, b, c, d = e * (even + s * odd), e * odd, -e * w * w * odd, e * (even - s * odd)
             stepped = h
         low = -1
         for i in range(pieces):
             at = t[k - 1] + (i + 1) * h - p[DELAY]
             if low < 0:
-                goal = commanded(t, u, at)
                 low = max(np.searchsorted(t, at, side="right") - 1, 0)
-            else:
-                while low < n - 2 and t[low + 1] <= at:
-                    low += 1
-                part = (at - t[low]) / (t[low + 1] - t[low]) if low < n - 1 else 0.0
-                goal = u[low] + min(max(part, 0.0), 1.0) * (u[min(low + 1, n - 1)] - u[low])
+            while low < n - 2 and t[low + 1] <= at:
+                low += 1
+            part = (at - t[low]) / (t[low + 1] - t[low]) if low < n - 1 else 0.0
+            goal = u[low] + min(max(part, 0.0), 1.0) * (u[min(low + 1, n - 1)] - u[low])
             before = second
             limited += min(max(goal - limited, -p[SPEED] * h), p[SPEED] * h)
             first = (

@@ -15,12 +15,13 @@ from __future__ import annotations
 import math
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hiltestbed.errors import InputError
+from hiltestbed.measured.units import UNITS
 from hiltestbed.signals import GROUPS
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 GB = 1e9
 MEMORY_PART, DISK_PART = 0.8, 0.9
+HOUR = UNITS["s"]["h"]
 WEEK = 168.0  # [h]
 COLUMNS = sum(len(group.parts) for group in GROUPS.values()) + 2
 COPIES = 3  # of a trace in memory while it is written
@@ -45,11 +47,6 @@ DIAGNOSIS_PER_ROW = 6e-3  # [s] per row of a dataset: 6 runs of 900 rows take 10
 FIT_PER_ROW = 3.0e4  # [byte] per row of a dataset while links are replayed for many hypotheses
 # time constants of a low-pass, the sensor's or its own, for which the identification keeps data
 FILTER_MEMORY = 10.0
-VARIABLES = {
-    "memory": "HILTESTBED_MEMORY_LIMIT",
-    "disk": "HILTESTBED_DISK_LIMIT",
-    "time": "HILTESTBED_TIME_LIMIT",
-}
 
 
 @dataclass(frozen=True)
@@ -69,15 +66,16 @@ class Budget:
     def refused(self, folder: Path = Path()) -> list[str]:
         """Why the task is refused: a sentence for each limit that it exceeds."""
         out = []
-        for name, need, limit, show in (
-            ("memory", self.memory, memory_limit(), _bytes),
-            ("disk", self.disk, disk_limit(folder), _bytes),
-            ("time", self.time, time_limit(), _duration),
+        for name, need, usual, unit, show in (
+            ("memory", self.memory, _free_memory, "GB", _bytes),
+            ("disk", self.disk, lambda: _free_disk(folder), "GB", _bytes),
+            ("time", self.time, lambda: WEEK * HOUR, "h", _duration),
         ):
+            variable = f"HILTESTBED_{name.upper()}_LIMIT"
+            limit = _given(variable, HOUR if unit == "h" else GB) or usual()
             if not need <= limit:
-                variable = f"{VARIABLES[name]} [{'h' if name == 'time' else 'GB'}]"
                 need_text = f"needs about {show(need)} of {name} (allowed: {show(limit)})"
-                out.append(f"{need_text}; {variable} sets the limit")
+                out.append(f"{need_text}; {variable} [{unit}] sets the limit")
         return out
 
 
@@ -88,16 +86,8 @@ def refuse_beyond(budget: Budget, what: str, do: str, folder: Path = Path()) -> 
         raise InputError(f"{what}: {'; '.join(found)}; {do}")
 
 
-def memory_limit() -> float:
-    """Limit of memory [byte]."""
-    return _given("memory", GB) or MEMORY_PART * _free_memory()
-
-
-def disk_limit(folder: Path) -> float:
-    """Limit of the disk space below ``folder`` [byte]."""
-    given = _given("disk", GB)
-    if given:
-        return given
+def _free_disk(folder: Path) -> float:
+    """[byte] that a task may take below ``folder``."""
     there = folder.absolute()
     while not there.exists() and there != there.parent:
         there = there.parent
@@ -109,13 +99,8 @@ def disk_limit(folder: Path) -> float:
         return math.inf
 
 
-def time_limit() -> float:
-    """Limit of time [s]."""
-    return _given("time", 3600.0) or WEEK * 3600.0
-
-
-def _given(name: str, unit: float) -> float | None:
-    text = os.environ.get(VARIABLES[name], "")
+def _given(variable: str, unit: float) -> float | None:
+    text = os.environ.get(variable, "")
     if not text:
         return None
     try:
@@ -124,13 +109,13 @@ def _given(name: str, unit: float) -> float | None:
         value = math.nan
     if not value > 0:
         raise InputError(
-            f"{VARIABLES[name]}: is no limit (got {text!r}); allowed is a number above 0, or inf"
+            f"{variable}: is no limit (got {text!r}); allowed is a number above 0, or inf"
         )
     return value * unit
 
 
 def _free_memory() -> float:
-    """[byte] available without swapping; infinite if the system does not report it."""
+    """[byte] that a task may take without swapping; infinite if the system does not report it."""
     found = []
     try:
         with open("/proc/meminfo", encoding="ascii") as file:
@@ -141,7 +126,7 @@ def _free_memory() -> float:
             found += [float(text) for text in [file.read().strip()] if text.isdigit()]
     except (OSError, ValueError):
         pass
-    return min(found, default=math.inf)
+    return MEMORY_PART * min(found, default=math.inf)
 
 
 def run_budget(scenarios: Sequence[Scenario], rows: bool = True) -> Budget:
@@ -192,18 +177,18 @@ def dataset_budget(dataset: LoadedDataset) -> Budget:
 
 
 def _bytes(size: float) -> str:
-    if math.isinf(size):
-        return "no limit"
-    for unit, factor in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
-        if size >= factor:
-            return f"{size / factor:.3g} {unit}"
-    return f"{size / 1e3:.3g} kB"
+    return _shown(size, {"TB": 1e12, "GB": GB, "MB": 1e6, "kB": 1e3}, 1.0)
 
 
 def _duration(seconds: float) -> str:
-    if math.isinf(seconds):
+    return _shown(
+        seconds, {"days": UNITS["s"]["d"]} | {u: UNITS["s"][u] for u in ("h", "min", "s")}, 2.0
+    )
+
+
+def _shown(size: float, units: Mapping[str, float], least: float) -> str:
+    """A size in the first of the ``units`` of which it has ``least``."""
+    if math.isinf(size):
         return "no limit"
-    for unit, factor in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2 * factor:
-            return f"{seconds / factor:.3g} {unit}"
-    return f"{seconds:.3g} s"
+    unit = next((u for u, factor in units.items() if size >= least * factor), list(units)[-1])
+    return f"{size / units[unit]:.3g} {unit}"

@@ -4,17 +4,17 @@ of each kind.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from hiltestbed.config.budget import Budget
 from hiltestbed.config.yaml_source import Source, read_source
 from hiltestbed.errors import Fault, InputError
 
 Kind = Literal["scenario", "campaign", "dataset", "axis", "arm"]
-KINDS: tuple[Kind, ...] = ("scenario", "campaign", "dataset", "axis", "arm")
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 def file_kind(source: Source) -> Kind:
@@ -56,37 +56,26 @@ def look_at(path: str | Path, set: Mapping[str, Any] | None = None) -> FileRepor
 
 
 def _scenario(source: Source) -> FileReport:
-    from hiltestbed.analysis.limits import ahead, rig_ahead
     from hiltestbed.build import runnable_from
     from hiltestbed.config.budget import run_budget
     from hiltestbed.config.models import remarks_on
-    from hiltestbed.config.sense import warnings
     from hiltestbed.config.validation import user_files
     from hiltestbed.contact.findings import remarks
 
     scenario = runnable_from(source)
     models = [file for file, kind in user_files(scenario).values() if kind.mjcf]
     said = (f"{file}: {text}" for file in models for text in remarks_on(file))
-    remarked = (
-        *_as_warnings(warnings(scenario)),
-        *ahead(scenario),
-        *rig_ahead(scenario),
-        *remarks(scenario),
-        *said,
-    )
+    remarked = (*_foreseen(scenario), *remarks(scenario), *said)
     return _within(FileReport("scenario", (), remarked, run_budget([scenario])), source)
 
 
 def _campaign(source: Source) -> FileReport:
-    from hiltestbed.analysis.limits import ahead, rig_ahead
     from hiltestbed.campaign.schema import campaign_from
     from hiltestbed.campaign.sweep import varied_in_vain
     from hiltestbed.config.budget import campaign_budget
-    from hiltestbed.config.sense import warnings
 
     campaign = campaign_from(source)
-    said = (*warnings(campaign.nominal), *varied_in_vain(campaign))
-    remarked = (*_as_warnings(said), *ahead(campaign.nominal), *rig_ahead(campaign.nominal))
+    remarked = _foreseen(campaign.nominal, varied_in_vain(campaign))
     return _within(FileReport("campaign", (), remarked, campaign_budget(campaign)), source)
 
 
@@ -113,17 +102,16 @@ def _axis(source: Source) -> FileReport:
     return FileReport(file_kind(source), (), (*loaded.remarks, *([more] if more else [])))
 
 
-_CHECKS = {
-    "scenario": _scenario,
-    "campaign": _campaign,
-    "dataset": _dataset,
-    "axis": _axis,
-    "arm": _axis,
-}
+_CHECKS = dict(zip(KINDS, (_scenario, _campaign, _dataset, _axis, _axis), strict=True))
 
 
-def _as_warnings(found: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(f"warning: {text}" for text in found)
+def _foreseen(scenario: Any, more: Iterable[str] = ()) -> tuple[str, ...]:
+    """What a run of a scenario will meet, its warnings and ``more`` of them first."""
+    from hiltestbed.analysis.limits import ahead, rig_ahead
+    from hiltestbed.config.sense import warnings
+
+    said = (f"warning: {text}" for text in (*warnings(scenario), *more))
+    return (*said, *ahead(scenario), *rig_ahead(scenario))
 
 
 def _within(found: FileReport, source: Source) -> FileReport:
@@ -141,12 +129,6 @@ def json_schema(kind: Kind) -> dict[str, Any]:
     from hiltestbed.scenario import Scenario
 
     plugins.load()
-    models = {
-        "scenario": Scenario,
-        "campaign": Campaign,
-        "dataset": Dataset,
-        "axis": AxisDataset,
-        "arm": ArmDataset,
-    }
+    models = dict(zip(KINDS, (Scenario, Campaign, Dataset, AxisDataset, ArmDataset), strict=True))
     schema = models[kind].model_json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema

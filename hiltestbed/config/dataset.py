@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -21,13 +21,12 @@ from hiltestbed.config.validation import Strictly, validate
 from hiltestbed.config.yaml_source import KeyPath, Source, read_source, referenced_source
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.measured.formats import AnyFormat, data_file, no_file
+from hiltestbed.measured.roles import channel_of, role_of
 from hiltestbed.plugins import depends
 from hiltestbed.run_folder.folders import is_file
 from hiltestbed.scenario import Scenario
 
 MISSPELT = 0.8  # likeness of two names, above which one is taken for a misspelling of the other
-FORCE_PARTS = ("fx", "fy", "fz", "tx", "ty", "tz")
-COMMANDED = ("cmd", "com", "des", "ref", "set", "target")  # in the name of a commanded pose
 Check = Literal["unit", "sign", "axes", "start", "attitude", "lever", "copy", "constant", "shift"]
 
 
@@ -55,22 +54,31 @@ class Channel(Strictly):
     )
 
 
-class RunEntry(Strictly):
+class RunFile(Strictly):
     """One file of measured data."""
 
     file: Annotated[str, Field(min_length=1)] = Field(
         description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, or a folder of a ROS 2 bag with "
-        "one MCAP file, relative to the dataset's folder; ${NAME}: an environment variable"
+        "one MCAP file, relative to the folder of this file; ${NAME}: an environment variable"
     )
     format: AnyFormat | None = Field(
         default=None, description="format of this file, where it differs from the others"
     )
-    set: dict[str, Any] = Field(
-        default={}, description="settings of this run that differ: dotted scenario key to value"
-    )
     channels: dict[str, Channel] = Field(
         default={},
         description="channels that are mapped differently in this file than in the others",
+    )
+
+    def path(self, source: Source) -> Path:
+        """Where the file is."""
+        return data_file(source.folder / os.path.expandvars(self.file))
+
+
+class RunEntry(RunFile):
+    """One file of measured data, and what was different in this run."""
+
+    set: dict[str, Any] = Field(
+        default={}, description="settings of this run that differ: dotted scenario key to value"
     )
 
 
@@ -113,7 +121,7 @@ class Dataset(Strictly):
 @depends
 def _rebuild() -> None:
     """Include the formats of a plugin in the schema."""
-    for model in (RunEntry, Dataset):
+    for model in (RunFile, RunEntry, Dataset):
         model.model_rebuild(force=True)
 
 
@@ -147,7 +155,10 @@ def dataset_from(source: Source, on_record: bool = True) -> LoadedDataset:
     Raises InputError with every fault.
     """
     spec = validate(Dataset, source)
-    faults = [*(_missing_files(spec, source) if on_record else ()), *_channel_faults(spec, source)]
+    faults = [
+        *(missing_files(spec.runs, source) if on_record else ()),
+        *_channel_faults(spec, source),
+    ]
     nominal_source = referenced_source(source)
     nominal = runnable_from(nominal_source)
     scenarios = []
@@ -158,17 +169,14 @@ def dataset_from(source: Source, on_record: bool = True) -> LoadedDataset:
             faults += [source.relocated(fault, ("runs", index, "set")) for fault in error.faults]
     if faults:
         raise InputError(faults)
-    files = tuple(_data_file(run, source) for run in spec.runs)
+    files = tuple(run.path(source) for run in spec.runs)
     return LoadedDataset(spec, Path(source.file), nominal, tuple(scenarios), files)
 
 
-def _data_file(run: RunEntry, source: Source) -> Path:
-    return data_file(source.folder / os.path.expandvars(run.file))
-
-
-def _missing_files(spec: Dataset, source: Source) -> Iterator[Fault]:
-    for index, run in enumerate(spec.runs):
-        where = _data_file(run, source)
+def missing_files(runs: Sequence[RunFile], source: Source) -> Iterator[Fault]:
+    """A fault for each run without a file."""
+    for index, run in enumerate(runs):
+        where = run.path(source)
         if not is_file(where):
             what = f"names no file (got {run.file!r}); {no_file(where)}"
             yield source.fault(("runs", index, "file"), what)
@@ -210,11 +218,6 @@ def _meant(name: str, known: Iterable[str]) -> str | None:
     close = difflib.get_close_matches(name, sorted(known), n=1, cutoff=MISSPELT)
     if close:
         return close[0]
-    group, _, part = name.rpartition(".")
-    family, other, words = (
-        ("wrench_meas", "wrench_comp", ("comp",))
-        if part in FORCE_PARTS
-        else ("pose_act", "pose_cmd", COMMANDED)
-    )
-    guess = f"{other if any(word in group.lower() for word in words) else family}.{part}"
+    role = role_of(name)
+    guess = channel_of(role, role.part)
     return guess if guess in known else None

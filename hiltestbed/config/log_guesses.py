@@ -11,12 +11,13 @@ import numpy as np
 
 from hiltestbed.config.log_columns import Log, listed, range_of
 from hiltestbed.frames import Array
+from hiltestbed.measured.noise import FREE_MINIMUM
 from hiltestbed.measured.plausible import TURNED_DEG
 from hiltestbed.measured.roles import (
-    COMPENSATED,
     PUSHES,
     Role,
     angle_unit,
+    channel_of,
     finite,
     joints_of,
     length_unit,
@@ -24,7 +25,6 @@ from hiltestbed.measured.roles import (
 )
 from hiltestbed.measured.units import SI_UNIT, UNITS
 
-FREE = 20  # rows at the start of a run from which the approach is taken
 DAMPER = re.compile(r"damper|displac|disp\b|stroke|deflect", re.IGNORECASE)
 # [rad] 30 deg, from which a start is refused: ports in front of each other are not tilted as much
 ATTITUDE = np.radians(TURNED_DEG)
@@ -188,11 +188,7 @@ def docking_entries(log: Log, stated: bool) -> list[Entry]:
         part = role.part or (_along_z(role) if stated else "")
         if not part or role.quantity == "other":
             continue
-        if part[0] in "ft":
-            used = set(re.findall("[a-z]+", name.lower())) & set(COMPENSATED.split())
-            channel = f"{'wrench_comp' if used else 'wrench_meas'}.{part}"
-        else:
-            channel = f"{'pose_cmd' if role.commanded else 'pose_act'}.{part}"
+        channel = channel_of(role, part)
         if channel not in taken:
             taken[channel] = _in_unit(channel, role, SI_UNIT[channel], log.data[name])
     # a force and a position alone may as well be those of a damper
@@ -226,7 +222,7 @@ def _pushing(entries: Sequence[Entry], group: str, log: Log) -> list[Entry]:
     if force is None or not force.column:
         return list(entries)
     values = finite(log.data[force.column])
-    values = values - np.median(values[:FREE])
+    values = values - np.median(values[:FREE_MINIMUM])
     if values[np.argmax(np.abs(values))] > 0.0:
         return list(entries)
     why = "; guess: turned, so that the largest force pushes"
@@ -255,7 +251,7 @@ def start_of(log: Log, entries: Sequence[Entry]) -> dict[str, Any]:
         entry = found.get(f"{group}.p{letter}")
         if entry is not None:
             values = log.data[entry.column] * UNITS["m"][entry.unit]
-            known = np.flatnonzero(np.isfinite(values) & np.isfinite(t))[:FREE]
+            known = np.flatnonzero(np.isfinite(values) & np.isfinite(t))[:FREE_MINIMUM]
             if len(known) < 2:
                 continue
             slope, begin = np.polyfit(t[known] - at, values[known], 1)

@@ -35,7 +35,7 @@ KEPT = 32  # models that are kept in memory
 DIGITS = 12  # of the hash in a file's name: 48 bits
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PackedMjcf:
     """An MJCF file with all that it names.
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hiltestbed.config.gallery import shipped
 from hiltestbed.config.mjcf import PackedMjcf, packed
 from hiltestbed.config.trial import refuse_unfit
 from hiltestbed.errors import InputError
@@ -15,16 +14,9 @@ if TYPE_CHECKING:
     import mujoco
 
 
-@cache
 def models_folder() -> Path:
-    """The folder ``models/``: beside the package, or ``_data/models`` in an installed wheel."""
-    package = Path(str(files("hiltestbed")))
-    candidates = (package / "_data" / "models", package.parent / "models")
-    for candidate in candidates:
-        if (candidate / "pss33" / "pss33.xml").is_file():
-            return candidate
-    places = " or ".join(map(str, candidates))
-    raise InputError(f"no models found in {places}; reinstall hiltestbed")
+    """The folder ``models/``."""
+    return shipped("models")
 
 
 def load(name: str) -> mujoco.MjSpec:

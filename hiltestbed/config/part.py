@@ -9,41 +9,33 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections import OrderedDict
+from functools import lru_cache
 from pathlib import Path
 
 import mujoco
 
-from hiltestbed.config.mjcf import PackedMjcf
+from hiltestbed.config.mjcf import KEPT, PackedMjcf
 from hiltestbed.config.models import model_of
 from hiltestbed.errors import InputError
 
 
 def compiled(file: Path) -> mujoco.MjModel:
     """The model in an MJCF ``file`` alone, with geoms and bodies named. Raises InputError."""
-    return _resolved(model_of(file).part(), file)[1]
+    return _resolved(model_of(file), file)[1]
 
 
 def named(file: Path) -> mujoco.MjSpec:
     """The model in an MJCF ``file``, to be attached, with all names. Raises InputError."""
-    return _resolved(model_of(file).part(), file)[0].copy()
+    return _resolved(model_of(file), file)[0].copy()
 
 
-_RESOLVED: OrderedDict[str, tuple[mujoco.MjSpec, mujoco.MjModel]] = OrderedDict()
-KEPT = 16  # parts that are kept in memory
-
-
-def _resolved(part: PackedMjcf, file: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """The specification and the model of a part, in which every mass is written out: what the
-    compiler settings of the file make of all its bodies together would be lost in another model.
-    """
-    found = _RESOLVED.get(part.sha256)
-    if found is not None:
-        return found
+@lru_cache(KEPT)
+def _resolved(whole: PackedMjcf, file: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """The specification and the model of a part, in which every mass is written out."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # they are among the remarks on the model
-            spec = part.spec()
+            spec = whole.part().spec()
             for what, things in (("geom", spec.geoms), ("body", spec.bodies)):
                 for i, thing in enumerate(things):
                     if not thing.name:
@@ -68,7 +60,4 @@ def _resolved(part: PackedMjcf, file: Path) -> tuple[mujoco.MjSpec, mujoco.MjMod
             geom.mass = 0.0
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
     spec.compiler.settotalmass = -1.0
-    _RESOLVED[part.sha256] = spec, model
-    while len(_RESOLVED) > KEPT:
-        _RESOLVED.popitem(last=False)
     return spec, model

@@ -114,9 +114,7 @@ def _drowned(scenario: Scenario, frequency: float) -> Iterator[str]:
 
 
 def _too_deep(scenario: Scenario, frequency: float) -> Iterator[str]:
-    """A penetration larger than the tip, beyond the validity of the contact surfaces: v/omega, of
-    which a contact in series with softer springs takes its share.
-    """
+    """A penetration v/omega larger than the tip, beyond the validity of the contact surfaces."""
     if scenario.mechanism.captured:
         return
     share = min(1.0, acting_along_z(scenario.impact)[0] / scenario.mechanism.contact.stiffness)

@@ -7,41 +7,18 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from hiltestbed.config.gallery import find_scenario
 from hiltestbed.config.validation import description_of
+from hiltestbed.config.yaml_source import read_source
 from hiltestbed.errors import InputError
 from hiltestbed.run_folder.folders import safe_name
 from hiltestbed.scenario import Scenario
 
 WIDTH = 110
-START: dict[str, Any] = {
-    "name": "",
-    "description": "Two free-flying vehicles touch head-on through a flat bumper.",
-    "seed": 1,
-    "duration": 1.5,
-    "rate": 2000,
-    "spacecraft": {
-        "chaser": {
-            "mass": 500.0,
-            "inertia": [200.0, 180.0, 150.0],
-            "port": {"position": [0.0, 0.0, 1.0]},
-        },
-        "target": {
-            "mass": 2000.0,
-            "inertia": [900.0, 900.0, 700.0],
-            "port": {"position": [0.0, 0.0, -1.0]},
-        },
-    },
-    "approach": {"gap": 0.01, "velocity": [0.0, 0.0, 0.03], "offset": [0.0, 0.0]},
-    "mechanism": {
-        "kind": "bumper",
-        "contact": {"stiffness": 1.0e5, "damping": 400.0, "friction": 0.0},
-    },
-    "rig": {"platform": {"kind": "pss33", "tracking": "servo"}},
-    "sensor": {"delay": 0.005, "lowpass": None, "noise": 0.0, "torque_noise": 0.0},
+# in which a scenario to start from differs from the reference scenario
+CHANGES: dict[str, Any] = {
     "compensation": {"force": {"kind": "resynchronised"}, "motion": {"kind": "feedforward"}},
-    "identification": {"kind": "rls"},
     "safety": {"force": 5.0e4, "energy": None},
-    "effects": [],
 }
 HEAD = """\
 # Check it:  hiltestbed check {file}
@@ -51,8 +28,10 @@ HEAD = """\
 
 
 def template(name: str, changes: Mapping[str, Any] | None = None) -> str:
-    """The scenario ``name`` as YAML text; ``changes``: keys that differ from :data:`START`."""
-    data = START | {"name": name} | dict(changes or {})
+    """The reference scenario under another ``name`` as YAML text, with ``changes`` of keys."""
+    data = read_source(find_scenario("reference-bumper")).data | CHANGES | {"name": name}
+    del data["physics_rate"]  # a multiple of the rate, which may change
+    data |= changes or {}
     return HEAD.format(file=f"{name}.yaml") + "\n".join(_lines(data, (), data)) + "\n"
 
 

@@ -14,7 +14,6 @@ A diagnosis only needs :func:`load_dataset`::
         run.record.absent                       # columns that were not measured
         run.survey.noise["wrench_meas.fz"].rms  # from before the first touch
         run.survey.contacts                     # start, end, peak force, penetration, speed
-    dataset.links()                             # the links whose input and output were measured
     dataset.remarks  # losses and notes, each with run, channel and numbers
 
 Nothing is corrected: the error for a wrong sign or unit gives the line to write in the channel map,

@@ -45,12 +45,11 @@ PERIODS = {
 WITHIN = 2.0  # median intervals by which the step across it may differ from one interval
 ON_TICK = 1e-6  # of a tick: a sample this close to a tick is used for it without interpolation
 AT_END = 0.02  # of a tick: the same for a tick just before the first or just after the last sample
-FEWEST = 4  # samples that determine a cubic
 OFF_RATE = 2e-3  # relative rate difference that a clock may have from the loop's
 UNEVEN = 0.45  # of an interval: largest deviation of a stamp
 APART = 0.05  # of a tick: largest common offset of all rows from the ticks
 ROUGHER = 1.1  # largest ratio of two roughnesses by chance
-NEIGHBOURS = (-2, -1, 1, 2)
+NEIGHBOURS = (-2, -1, 1, 2)  # samples that determine a cubic
 
 
 @dataclass(frozen=True)
@@ -133,10 +132,16 @@ def check_clock(
             "sort them if single rows are out of order"
         )
         return None, [*remarks, error("", run, "t", text, fix)]
-    if (steps == 0).any():
-        remarks.append(_repeated(run, t[rows], steps))
-        if remarks[-1].severity == "error":
-            return None, remarks
+    if repeated := int((steps == 0).sum()):
+        first = int(np.flatnonzero(steps == 0)[0])
+        text = (
+            f"has the same stamp in {repeated} of {len(rows)} rows, first {t[rows][first]:.9g} s "
+            f"at row {first}"
+        )
+        if repeated > REPEATED_LIMIT * len(rows):
+            fix = "the clock is too coarse for the sampling; export it with more digits"
+            return None, [*remarks, error("", run, "t", text, fix)]
+        remarks.append(loss(run, "t", text + "; the first of each is kept"))
     rows = rows[np.r_[True, steps > 0]]
     stamps = t[rows]
     interval = float(np.median(np.diff(stamps)))
@@ -144,17 +149,6 @@ def check_clock(
     if scale is not None:
         return None, [*remarks, scale]
     return UsableRows(stamps, rows, interval), [*remarks, *_sampling(run, stamps, interval, tick)]
-
-
-def _repeated(run: int, t: Array, steps: Array) -> Remark:
-    repeated, first = int((steps == 0).sum()), int(np.flatnonzero(steps == 0)[0])
-    text = (
-        f"has the same stamp in {repeated} of {len(t)} rows, first {t[first]:.9g} s at row {first}"
-    )
-    if repeated > REPEATED_LIMIT * len(t):
-        fix = "the clock is too coarse for the sampling; export it with more digits"
-        return error("", run, "t", text, fix)
-    return loss(run, "t", text + "; the first of each is kept")
 
 
 def _wrong_length(
@@ -180,10 +174,7 @@ def _wrong_length(
 
 
 def _other_unit(size: float) -> str:
-    """What to write in the channel map if stamps are about ``size`` times as large as seconds would
-    be: the unit whose factor is nearest, or that of a unit that was converted twice; "" if none
-    fits, even with a log at another rate.
-    """
+    """The likely unit of stamps ``size`` times as large as seconds, for the channel map; or ""."""
     units = {name: factor for name, factor in UNITS["s"].items() if factor != 1.0}
 
     def nearest(factors: Mapping[str, float]) -> str | None:
@@ -402,7 +393,7 @@ def bend(
     """
     known = np.isfinite(values)
     t, values = t[known], values[known]
-    if len(t) < FEWEST or not measured.any():
+    if len(t) < len(NEIGHBOURS) or not measured.any():
         return None
     # rows of the loop, some of which the logger lost, are no other clock
     off = np.abs(t / tick - np.round(t / tick)) > ON_TICK

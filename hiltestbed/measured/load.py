@@ -32,7 +32,6 @@ LINKS = {
     "compensation": ("wrench_meas", "wrench_comp"),
     "dynamics": ("wrench_comp", "pose_cmd"),
 }
-NEEDED = ("pose_cmd", "pose_act", "wrench_meas", "wrench_comp")
 FLAT = 4  # successive equal samples at an extreme value, at least, for clipping to be considered
 CORNER = 6.0  # quanta; the rounded top of a smooth signal gives 3, see `_is_corner`
 # of the range: least distance of a limit from the free level, since a force of zero between
@@ -85,12 +84,6 @@ class MeasuredDataset:
     def names(self) -> list[str]:
         return [run.name for run in self.runs]
 
-    def links(self) -> tuple[str, ...]:
-        """The links whose input and output were measured in at least one run."""
-        records = [run.record for run in self.runs]
-        ends = LINKS.items()
-        return tuple(link for link, (a, b) in ends if any(r.has(a) and r.has(b) for r in records))
-
 
 def load_dataset(
     path: str | Path | LoadedDataset, set: Mapping[str, Any] | None = None
@@ -141,7 +134,7 @@ def examine(
             remarks.append(error("", index, "", text, fix))
     if faults:
         raise InputError(faults)
-    remarks += check_dataset([run.record for run in runs], names, LINKS)
+    remarks += check_dataset([run.record for run in runs], names)
     remarks = [r if r.run is None else replace(r, file=names[r.run]) for r in remarks]
     remarks = [
         r.accepted() if r.severity == "error" and r.check in spec.accept else r for r in remarks
@@ -185,15 +178,13 @@ def check_run(record: Record, scenario: Scenario) -> tuple[Survey, list[Remark]]
     return found, remarks
 
 
-def check_dataset(
-    records: Sequence[Record], names: Sequence[str], links: Mapping[str, tuple[str, ...]]
-) -> list[Remark]:
+def check_dataset(records: Sequence[Record], names: Sequence[str]) -> list[Remark]:
     """Remarks on links without input or output and on missing axes; ``names``: of the runs."""
     remarks = []
-    for group in NEEDED:
+    for group in dict.fromkeys(end for ends in LINKS.values() for end in ends):
         have = [record for record in records if record.has(group)]
         without = [record.run for record in records if not record.has(group)]
-        cut = [link for link, ends in links.items() if group in ends]
+        cut = [link for link, ends in LINKS.items() if group in ends]
         if without:
             where = f"not in {', '.join(names[run] for run in without)}" if have else "in no run"
             text = (

@@ -39,7 +39,7 @@ from hiltestbed.measured.ratio import (
 )
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark, error
-from hiltestbed.measured.start import Start, start_of
+from hiltestbed.measured.start import start_of
 from hiltestbed.measured.survey import Survey
 from hiltestbed.numerical_model.bodies import mobility
 from hiltestbed.scenario import Scenario
@@ -89,7 +89,10 @@ def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momen
     if not (set(wrench) <= there or scenario.mechanism.flat or symmetric):
         return None
     rows = np.flatnonzero(np.all([record.measured(name) for name in there], axis=0))
-    if len(rows) < 50 or not _whole(rows, record, scenario):
+    stride = max(1.0, scenario.rate / record.sample_rate) if record.sample_rate else 1.0
+    if len(rows) < 50 or rows[0] >= 0.2 * record.ticks:
+        return None
+    if len(rows) * stride <= (1 - GAP_LIMIT) * (rows[-1] - rows[0]):
         return None
     t, place = record.t[rows], _columns(record, places)[:, rows]
     motion = _without_line(t, place)
@@ -110,9 +113,7 @@ def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momen
 
 
 class _Fits:
-    """Fits of the logged motion by those that each column of the force causes on each axis, for
-    every order and sign of the axes.
-    """
+    """Fits of the logged motion by the force, for every order and sign of its axes."""
 
     def __init__(
         self, t: Array, response: Array, wrench: Array, motion: Array, tick: float
@@ -120,7 +121,8 @@ class _Fits:
         """``motion`` (3, rows): without its linear trend. ``response`` (3, 6): acceleration of A
         in P per wrench of A on P.
         """
-        doubled = _twice(t, wrench, tick)
+        step = np.diff(t, prepend=t[0] - tick)  # semi-implicit like the model's
+        doubled = np.cumsum(np.cumsum(wrench * step, axis=1) * step, axis=1)
         # by column j of the force acting along axis i, at 3 i + j; by the torques last
         driven = [response[:, i, None] * doubled[j] for i in range(3) for j in range(3)]
         driven.append(response[:, 3:] @ doubled[3:])
@@ -173,19 +175,6 @@ def _columns(record: Record, names: list[str]) -> Array:
     """``(names, ticks)``; zero for columns that were not measured."""
     zero = np.zeros(record.ticks)
     return np.stack([record.column(n) if record.has(n) else zero for n in names])
-
-
-def _whole(rows: np.ndarray, record: Record, scenario: Scenario) -> bool:
-    """Whether at most GAP_LIMIT of the rows that the file's sampling rate gives are missing."""
-    stride = max(1.0, scenario.rate / record.sample_rate) if record.sample_rate else 1.0
-    dense = len(rows) * stride > (1 - GAP_LIMIT) * (rows[-1] - rows[0])
-    return dense and rows[0] < 0.2 * record.ticks
-
-
-def _twice(t: Array, rate: Array, tick: float) -> Array:
-    """Double integral of ``rate`` ``(3, rows)``, semi-implicit like the model's step."""
-    step = np.diff(t, prepend=t[0] - tick)
-    return np.cumsum(np.cumsum(rate * step, axis=1) * step, axis=1)
 
 
 def _without_line(t: Array, values: Array) -> Array:
@@ -252,7 +241,13 @@ def _turned(record: Record, pair: Momentum) -> Iterator[Remark]:
 
 def _scaled(record: Record, found: Survey, scenario: Scenario, pair: Momentum) -> Iterator[Remark]:
     start = start_of(record, found, scenario, f"{pair.pose}.pz")
-    at_fault, scale, size = _pose_at_fault(pair, start), pair.scale, abs(pair.scale)
+    scale, size = pair.scale, abs(pair.scale)
+    # whether the start of the pose shows the same factor or sign: then its unit is wrong
+    at_fault = False
+    if start is not None:
+        apart = abs(math.log((start.unit or 1.0) / max(size, 1e-300)))
+        same_size = start.unit is not None and apart < 2.0 * math.log(AGREE)
+        at_fault = same_size or (scale < 0 and start.reversed)
     # the columns of the force that clearly move the pose; at least z
     moving = [f"{pair.force}.f{axis}" for axis in dict.fromkeys(("z", *pair.axes))]
     if not at_fault and scale < 0:
@@ -271,13 +266,3 @@ def _scaled(record: Record, found: Survey, scenario: Scenario, pair: Momentum) -
     for name in moving:
         fix = scale_fix(name, likely_scale(1.0 / size, "N"))
         yield error("unit", record.run, name, text, fix)
-
-
-def _pose_at_fault(pair: Momentum, start: Start | None) -> bool:
-    """Whether the start of the pose shows the same factor or sign: then its unit is wrong."""
-    if start is None:
-        return False
-    off = start.unit or 1.0
-    apart = abs(math.log(off) - math.log(max(abs(pair.scale), 1e-300)))
-    same_size = off != 1.0 and apart < math.log(AGREE) * 2
-    return same_size or (pair.scale < 0 and start.reversed)

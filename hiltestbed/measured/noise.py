@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 
@@ -12,12 +13,14 @@ from hiltestbed.frames import Array
 FREE_MINIMUM = 20  # samples before the first touch, at least, to estimate a noise floor
 # its sigma for white noise of unit sigma: the variance is 1 + 9 + 9 + 1
 THIRD_DIFFERENCE = math.sqrt(20.0)
-MAD_TO_SIGMA = 1.4826
+# of normal samples half lie within the median of their sizes
+MAD_TO_SIGMA = 1.0 / NormalDist().inv_cdf(0.75)
 OUTLIER_SIGMA = 4.0  # derived: standard deviations, beyond which 6e-5 of normal samples lie
 # Derived: level in steps with a noise of 0.2 steps. An eighth of the variance of rounding is then
 # alike from row to row: the first harmonic of its sawtooth, 12/(2 pi^2) of that variance, times
 # exp(-(2 pi 0.2)^2).
 DITHERED = math.hypot(0.2, 1.0 / math.sqrt(12.0))
+MOVED = 10.0  # sigma of its noise by which what changes more was moved
 # ratio of rms to white; above it a pose does not move uniformly, and a straight line does not give
 # its noise
 UNIFORM = 2.0
@@ -71,8 +74,7 @@ def white_noise(values: Array, step: float = 0.0) -> float:
     out. Where noise does not dither the steps, rounding errors are alike from row to row, which
     differences show in part: the larger of the two counts.
     """
-    third = np.diff(_samples(values), 3)
-    third = np.abs(third[np.isfinite(third)])
+    third = _differences(values, 3)
     if len(third) < 8:
         return 0.0
     usual = MAD_TO_SIGMA * float(np.median(third))
@@ -83,20 +85,21 @@ def white_noise(values: Array, step: float = 0.0) -> float:
     return usual / THIRD_DIFFERENCE
 
 
-def _samples(values: Array) -> Array:
-    """``values``; without the missing ones if many are, as of a log slower than the loop."""
+def _differences(values: Array, order: int) -> Array:
+    """Sizes of the known differences; where many samples are missing, of those that are there."""
     known = np.isfinite(values)
-    return values[known] if len(values) and known.mean() < SPARSE else values
+    samples = values[known] if len(values) and known.mean() < SPARSE else values
+    found = np.abs(np.diff(samples, order))
+    return found[np.isfinite(found)]
 
 
 def finest_noise(values: Array) -> float:
     """1 sigma of white noise in a moving column: least from differences of orders 3, 5, 7."""
     found = [white_noise(values)]
     for order in (5, 7):
-        differences = np.diff(_samples(values), order)
-        differences = differences[np.isfinite(differences)]
+        differences = _differences(values, order)
         if len(differences) >= 8:
-            usual = MAD_TO_SIGMA * float(np.median(np.abs(differences)))
+            usual = MAD_TO_SIGMA * float(np.median(differences))
             found.append(usual / math.sqrt(math.comb(2 * order, order)))
     return min(found)
 

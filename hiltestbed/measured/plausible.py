@@ -114,30 +114,28 @@ def _order(run: int, group: str, q: Array, expected: Array) -> Iterator[Remark]:
     name, given = f"{group}.q*", _angle_deg(q, expected)
     w_first = _angle_deg(q[:, [1, 2, 3, 0]], expected)
     conjugate = _angle_deg(q * [-1, -1, -1, 1], expected)
-    if given > TURNED_DEG and w_first < 0.5 * TURNED_DEG:
-        text = (
-            f"starts {given:.0f} deg from the scenario's attitude, {w_first:.1f} deg "
-            f"when read w first: the order is w, x, y, z"
-        )
-        fix = (
-            f"exchange the columns under channels: {group}.qw takes that of qx, qx that "
-            f"of qy, qy that of qz, qz that of qw"
-        )
-        yield error("attitude", run, name, text, fix)
-    elif given > TURNED_DEG:
-        text = (
-            f"starts {given:.0f} deg from the scenario's attitude; the platform rotates "
-            f"by 10 deg at most"
-        )
-        fix = "check frames, columns and the unit of angles, or set approach.attitude_deg"
-        yield error("attitude", run, name, text, fix)
-    elif given > 1.0 and conjugate < 0.2 * given:
-        text = (
-            f"starts {given:.1f} deg from the scenario's attitude, {conjugate:.1f} deg "
-            f"when inverted: it is P in A"
-        )
-        fix = "give the scale -1 to its qx, qy and qz"
-        yield error("attitude", run, name, text, fix)
+    for wrong, seen, fix in (
+        (
+            given > TURNED_DEG and w_first < 0.5 * TURNED_DEG,
+            f", {w_first:.1f} deg when read w first: the order is w, x, y, z",
+            f"exchange the columns under channels: {group}.qw takes that of qx, qx that of qy, qy "
+            f"that of qz, qz that of qw",
+        ),
+        (
+            given > TURNED_DEG,
+            "; the platform rotates by 10 deg at most",
+            "check frames, columns and the unit of angles, or set approach.attitude_deg",
+        ),
+        (
+            given > 1.0 and conjugate < 0.2 * given,
+            f", {conjugate:.1f} deg when inverted: it is P in A",
+            "give the scale -1 to its qx, qy and qz",
+        ),
+    ):
+        if wrong:
+            text = f"starts {given:.1f} deg from the scenario's attitude{seen}"
+            yield error("attitude", run, name, text, fix)
+            return
 
 
 def _angle_deg(q: Array, expected: Array) -> float:
@@ -147,9 +145,7 @@ def _angle_deg(q: Array, expected: Array) -> float:
 
 
 def _driven_forces(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
-    """Remarks on forces of bodies that do not float freely: by what the contact makes along the
-    recorded pose, and on wrench_comp by wrench_meas, the same force some milliseconds apart.
-    """
+    """Remarks on forces of driven bodies, by the believed contact and by each other."""
     known = found.contacts and record.has("pose_act") and sides_of(scenario.mechanism).rigid
     made = believed_reading(record, scenario)[1][:, 2] if known else None
     for axis in GROUPS["wrench_comp"].parts:

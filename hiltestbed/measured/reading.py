@@ -33,7 +33,6 @@ from hiltestbed.measured.values import (
     in_si,
     signal,
     stated_unit,
-    without_empty,
     without_held,
 )
 from hiltestbed.scenario import Scenario
@@ -72,8 +71,13 @@ def read_record(
         raise unreadable(file, "does not fit into memory", "cut the file to the run") from error
     _refuse_missing(file, columns, channels, source)
     remarks = [note(run, "", text) for text in columns.notes]
-    columns, found = without_empty(run, columns, source)
-    remarks += found
+    # empty by intention; one with stamps of its own is a record that was cut short
+    none = {c for c, rows in columns.data.items() if not len(rows) and c not in columns.clock}
+    empty = [name for name, column in source.items() if column in none]
+    columns.data = {name: rows for name, rows in columns.data.items() if name not in none}
+    if empty:
+        text = "is empty in the file (0 samples): taken as not measured"
+        remarks.append(loss(run, ", ".join(empty), text))
     values = {}
     for name in CHANNELS:
         if source[name] in columns.data:
@@ -110,9 +114,7 @@ def _refused(file: Path, key: str, what: str) -> InputError:
 def _refuse_missing(
     file: Path, columns: Columns, channels: Mapping[str, Channel], source: Mapping[str, str]
 ) -> None:
-    """Raises InputError, one fault for all columns that the channel map names and the file lacks,
-    and one for each thing in the file whose name is that of wanted columns but is none.
-    """
+    """Raises InputError for all mapped columns that the file lacks, or has as something else."""
     columns.refuse_others(file, source.values())
     mapped = {n: source[n] for n, channel in channels.items() if n in source and channel.column}
     missing = {name: column for name, column in mapped.items() if column not in columns.data}
@@ -127,9 +129,7 @@ def _refuse_missing(
 def _attitudes(
     file: Path, values: Mapping[str, Array], source: Mapping[str, str]
 ) -> tuple[dict[str, Array], dict[str, str]]:
-    """The channels and their columns with each attitude that was recorded as three angles as a
-    quaternion. Raises InputError for one or two angles, or both forms.
-    """
+    """The channels with attitudes by three angles as quaternions. Raises InputError for a part."""
     values, source = dict(values), dict(source)
     for group, names in ANGLES.items():
         given, parts = [n for n in names if n in values], GROUPS[group].columns[3:]
@@ -156,9 +156,7 @@ def _stamps(
     source: Mapping[str, str],
     channels: Mapping[str, Channel],
 ) -> tuple[dict[str, Array], list[Remark]]:
-    """The time stamps [s] of each channel: the time column of the file, or the channel's own clock
-    if there is no such column; and remarks on their unit.
-    """
+    """The time stamps [s] of each channel, of the file or of its own; and remarks on their unit."""
     shared = columns.data.get(source["t"])
     if shared is None and not all(source[name] in columns.clock for name in values):
         what = f"has no time column {source['t']!r}; {columns.nearest([source['t']])}"
@@ -278,9 +276,7 @@ def _digits(columns: Mapping[str, Array], steps: Mapping[str, float]) -> dict[st
 
 
 def _steps(columns: Mapping[str, Array]) -> dict[str, float]:
-    """The quantisation step of the columns that have one. One that hardly moves has that of similar
-    ones (forces, positions): its own cannot be determined.
-    """
+    """The quantisation steps; a column that hardly moves has that of similar ones."""
     found = {name: step_of(column[np.isfinite(column)]) for name, column in columns.items()}
     steps = {name: step for name, step in found.items() if step is not None}
     for name, column in columns.items():

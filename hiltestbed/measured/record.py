@@ -234,9 +234,7 @@ def place(column: str) -> tuple[str, int]:
 
 
 def _between_steps(values: Array, step: Array) -> Array:
-    """``(n,)`` values interpolated between the centres of the stretches in which they are equal; a
-    jump by more than the ``step`` (n,) with which they were written, 0 for none, stays.
-    """
+    """``(n,)`` values interpolated between the centres of equal ones; larger jumps stay."""
     starts = np.flatnonzero(np.r_[True, values[1:] != values[:-1]])
     ends = np.r_[starts[1:], len(values)] - 1
     usual = WITHIN_STEP * np.maximum(step[ends[:-1]], step[starts[1:]])
@@ -249,9 +247,7 @@ def _between_steps(values: Array, step: Array) -> Array:
 
 
 def _without_rounding(values: Array, step: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """``(n,)`` values without the errors of their rounding to a ``step`` (n,), 0 for none, as far
-    as possible; and where a smooth curve takes their place.
-    """
+    """``(n,)`` values less their rounding to a ``step`` (n,), and where a curve replaces them."""
     if not step.any():
         return values, np.zeros(len(values), dtype=bool)
     smooth, within = _within_steps(_between_steps(values, step), step)

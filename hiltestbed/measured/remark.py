@@ -99,14 +99,13 @@ def overrides(remarks: Iterable[Remark]) -> tuple[str, ...]:
     for remark in remarks:
         if remark.overridden:
             found.setdefault(remark.check, []).append(remark)
-    return tuple(_override(check, alike) for check, alike in found.items())
-
-
-def _override(check: str, alike: list[Remark]) -> str:
-    channels = ", ".join(dict.fromkeys(r.channel for r in alike))
-    runs = ", ".join(dict.fromkeys(r.file or f"run {r.run}" for r in alike))
-    return (
-        f"The dataset overrides a check (accept: [{check}]): {channels} in {runs}. The data are "
-        "used as they were recorded: nothing is turned, scaled or exchanged. They are assumed to "
-        "be right, and the estimates on these channels are worth no more than that."
-    )
+    out = []
+    for check, alike in found.items():
+        channels = ", ".join(dict.fromkeys(r.channel for r in alike))
+        runs = ", ".join(dict.fromkeys(r.file or f"run {r.run}" for r in alike))
+        out.append(
+            f"The dataset overrides a check (accept: [{check}]): {channels} in {runs}. The data "
+            "are used as they were recorded: nothing is turned, scaled or exchanged. They are "
+            "assumed to be right, and the estimates on these channels are worth no more than that."
+        )
+    return tuple(out)

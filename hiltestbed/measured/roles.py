@@ -123,6 +123,14 @@ def _part(tokens: list[str], quantity: str) -> str:
     return ""
 
 
+def channel_of(role: Role, part: str) -> str:
+    """The channel of the trace that a column with this ``part`` of a pose or a wrench may be."""
+    if part[:1] in ("f", "t"):
+        used = _COMPENSATED.intersection(re.findall("[a-z]+", role.column.lower()))
+        return f"{'wrench_comp' if used else 'wrench_meas'}.{part}"
+    return f"{'pose_cmd' if role.commanded else 'pose_act'}.{part}"
+
+
 def _set(words: str) -> frozenset[str]:
     return frozenset(words.split())
 
@@ -174,17 +182,14 @@ def time_unit(t: Array) -> tuple[str, str]:
 
 
 def angle_unit(values: Array, most: float = 6.0 * np.pi) -> tuple[str, str]:
-    """The unit of angles that state none, and why: from ``most`` on, three turns in rad, they are
-    taken for degrees.
-    """
+    """The unit of angles that state none, and why: degrees from ``most`` on, three turns in rad."""
     largest = float(np.nanmax(np.abs(values)))
-    unit = "rad" if largest < most else "deg"
-    return unit, f"by its size, up to {largest:.3g}"
+    return "rad" if largest < most else "deg", f"by its size, up to {largest:.3g}"
 
 
 def length_unit(values: Array) -> tuple[str, str]:
     """The unit of a position that states none, and why: a travel above 2 m is taken for mm."""
-    travel = float(np.nanmax(values) - np.nanmin(values))
+    travel = float(np.ptp(finite(values)))
     return ("m" if travel < 2.0 else "mm"), f"by its travel of {travel:.3g}"
 
 

@@ -111,7 +111,13 @@ def _ahead(record: Record, rows: float, moved: int | None, tick: float, found: S
     if moved is not None and moved > 0 and abs(moved - rows) < 1.0:
         why = "the platform precedes it, and it follows its force too late"
         return _shifted(record, "pose_cmd", float(moved), tick, why)
-    if abs(rows - 2.0) < LEAD_LIMIT and _rough(found, "pose_cmd") > 3 * _rough(found, "pose_act"):
+    rough = [
+        max(
+            (n.white for name, n in found.noise.items() if name.startswith(f"{group}.p")), default=0
+        )
+        for group in ("pose_cmd", "pose_act")
+    ]
+    if abs(rows - 2.0) < LEAD_LIMIT and rough[0] > 3 * rough[1]:
         text = (
             "follows pose_act a row later and carries a sensor's noise, which pose_act "
             "does not: the two are exchanged"
@@ -146,15 +152,8 @@ def _led(record: Record, rows: int, lead: float | None, scenario: Scenario) -> R
     return _remark(record, "wrench_meas", text, fix, rows)
 
 
-def _rough(found: Survey, group: str) -> float:
-    names = (f"{group}.{part}" for part in ("px", "py", "pz"))
-    return max((found.noise[n].white for n in names if n in found.noise), default=0.0)
-
-
 def _model_lag(record: Record, scenario: Scenario) -> int | None:
-    """Whole rows by which pose_cmd responds late to the force (negative: early); None if it cannot
-    be determined, 0 if it fits unchanged.
-    """
+    """Rows by which pose_cmd follows the force too late; None if unknown, 0 if it fits."""
     names = [*(f"pose_cmd.p{a}" for a in "xyz"), *WRENCH]
     if not all(record.has(n) and record.measured(n).all() for n in names):
         return None
@@ -169,20 +168,13 @@ def _model_lag(record: Record, scenario: Scenario) -> int | None:
     pushed = poses[0, :, :3] - poses[1, :, :3]
     shown = record.data["pose_cmd"][:, :3] - poses[1, :, :3]
     inner = slice(FURTHEST, record.ticks - FURTHEST)
+    line = np.stack([np.ones_like(record.t[inner]), record.t[inner]], axis=1)
     lags = range(-FURTHEST, FURTHEST + 1)
-    left = [
-        _misfit(record.t[inner], shown[inner], pushed[FURTHEST - n : record.ticks - FURTHEST - n])
-        for n in lags
-    ]
+    left = [_unexplained(line, (shown - np.roll(pushed, n, axis=0))[inner]) for n in lags]
     best, now = lags[int(np.argmin(left))], left[FURTHEST]
     if now < 1e-18 * max(1.0, float(np.sum(shown**2))):
         return 0
     return best if min(left) < REMAINDER * now and abs(best) < FURTHEST else 0
-
-
-def _misfit(t: Array, shown: Array, pushed: Array) -> float:
-    """Sum of squares of ``shown`` (rows, 3) minus ``pushed`` and a straight line."""
-    return _unexplained(np.stack([np.ones_like(t), t - t.mean()], axis=1), shown - pushed)
 
 
 def _unexplained(basis: Array, values: Array) -> float:
@@ -216,7 +208,9 @@ def _echo(record: Record, given: Array | None) -> int | None:
     for j, name in enumerate(WRENCH[:3]):
         if given is None or not record.has(name) or not record.measured(name).all():
             continue
-        a, b = (_clipped_noise(values) for values in (given[:, j], record.column(name)))
+        third = np.diff([given[:, j], record.column(name)], 3)
+        most = OUTLIER_SIGMA * MAD_TO_SIGMA * np.median(np.abs(third), axis=1, keepdims=True)
+        a, b = np.clip(third, -most, most)
         if not (a.any() and b.any()) or len(a) < 4 * FURTHEST:
             continue
         rows = len(a) - 2 * FURTHEST
@@ -224,13 +218,6 @@ def _echo(record: Record, given: Array | None) -> int | None:
         found = [(abs(correlation(a[FURTHEST:-FURTHEST], part)), lag) for lag, part in parts]
         best = max(best, *found, key=lambda pair: pair[0])
     return best[1]
-
-
-def _clipped_noise(values: Array) -> Array:
-    """Third differences of ``values``, without outliers."""
-    third = np.diff(values, 3)
-    most = OUTLIER_SIGMA * MAD_TO_SIGMA * np.median(np.abs(third))
-    return np.clip(third, -most, most)
 
 
 def _platform_lead(record: Record, found: Survey, scenario: Scenario) -> float | None:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiltestbed.frames import Array
 from hiltestbed.measured.noise import FREE_MINIMUM
 from hiltestbed.measured.ratio import (
     CLEAR,
@@ -26,11 +25,9 @@ from hiltestbed.measured.remark import Remark, error
 from hiltestbed.measured.survey import Survey
 from hiltestbed.scenario import Scenario
 
-# relative deviation of the initial speed of a command from the scenario's, above which it is an
-# error
-OTHER_SPEED = 0.05
-# the same for the initial position, per gap; a platform has lag and scale errors
-OTHER_PLACE = {"pose_cmd.pz": 0.05, "pose_act.pz": 0.5}
+# deviation of the start from the scenario's, of the position per gap and of a command's speed per
+# speed, above which it is an error; a platform has lag and scale errors
+OTHER = {"pose_cmd.pz": 0.05, "pose_act.pz": 0.5}
 UNTOUCHED = 0.7  # of the way to the nominal first touch: a cone is touched before that
 
 
@@ -74,7 +71,9 @@ def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> St
     values, sigma = record.column(name), found.noise[name].white
     known = np.flatnonzero(np.isfinite(values[: max(found.free, FREE_MINIMUM)]))
     t = record.t[known]
-    untouched = t <= t[:1] + UNTOUCHED * _way_to_touch(scenario) if len(known) else known > 0
+    speed, gap = approach.velocity[2], approach.gap
+    way = gap / speed if speed > 0 and gap > 0 else math.inf  # [s] to the nominal first touch
+    untouched = t <= t[:1] + UNTOUCHED * way if len(known) else known > 0
     known = known[untouched] if untouched.sum() > FREE_MINIMUM else known
     if len(known) < 3:
         return None
@@ -89,21 +88,11 @@ def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> St
     # the median of three rows is where the second is
     expected = float(path[1]), velocity * float(t[-1] - t[0])
     # otherwise a touch before the nominal one is possible
-    free = scenario.mechanism.flat or found.contacts
-    rate = _rate(t, values, sigma) if free else (velocity, math.inf)
+    rate = velocity, math.inf
+    if scenario.mechanism.flat or found.contacts:
+        slope = np.linalg.pinv(np.vander(t - t[0], 3, increasing=True))[1]
+        rate = float(slope @ values), sigma * float(np.linalg.norm(slope))
     return Start(begin, end - begin, ratio, *expected, velocity, *rate, approach.gap)
-
-
-def _rate(t: Array, values: Array, sigma: float) -> tuple[float, float]:
-    """Speed at the first row (n,) and its sigma, by a parabola through positions."""
-    inverse = np.linalg.pinv(np.vander(t - t[0], 3, increasing=True))
-    return float(inverse[1] @ values), sigma * float(np.linalg.norm(inverse[1]))
-
-
-def _way_to_touch(scenario: Scenario) -> float:
-    """[s] until the nominal first touch; infinite if the scenario does not approach."""
-    speed, gap = scenario.approach.velocity[2], scenario.approach.gap
-    return gap / speed if speed > 0 and gap > 0 else math.inf
 
 
 def starts_at_fault(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
@@ -132,7 +121,7 @@ def _fault(record: Record, name: str, start: Start) -> Iterator[Remark]:
     elif start.reversed:
         text = f"{seen}: the sign is reversed"
         yield error("sign", run, name, text, scale_fix(name, -1.0))
-    elif name in OTHER_PLACE and start.velocity:
+    elif name in OTHER and start.velocity:
         yield from _another(record, name, start)
 
 
@@ -141,12 +130,12 @@ def _another(record: Record, name: str, start: Start) -> Iterator[Remark]:
     speed, place = start.velocity, start.expected_begin
     commanded = name == "pose_cmd.pz"
     stamped = LOGGER * abs(speed) * float(record.t[1])
-    if commanded and abs(start.rate - speed) > OTHER_SPEED * abs(speed) + CLEAR * start.rate_sd:
+    if commanded and abs(start.rate - speed) > OTHER[name] * abs(speed) + CLEAR * start.rate_sd:
         text = f"begins at {start.rate:.4g} m/s; the scenario approaches at {speed:.4g} m/s"
         given = f"{{approach.velocity.2: {start.rate:.4g}}}"
         fix = f"if this is right, set in the entry of the run: set: {given}"
         yield error("start", record.run, name, text, fix)
-    elif abs(start.begin - place) > OTHER_PLACE[name] * start.gap + stamped:
+    elif abs(start.begin - place) > OTHER[name] * start.gap + stamped:
         text = (
             f"begins at {start.begin:.4g} m; by its approach the scenario is at {place:.4g} m then"
         )

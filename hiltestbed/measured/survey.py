@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.frames import Array
-from hiltestbed.measured.noise import FREE_MINIMUM, Noise, noise_of, white_noise
+from hiltestbed.measured.noise import FREE_MINIMUM, MOVED, Noise, noise_of, white_noise
 from hiltestbed.measured.record import Record, stretches
 from hiltestbed.measured.remark import Remark, loss, note
 from hiltestbed.scenario import Scenario
@@ -17,7 +16,6 @@ from hiltestbed.scenario import Scenario
 ONSET = 8.0  # sigma, for ONSET_TICKS successive ticks: the force has left its noise floor
 ONSET_TICKS = 4
 FORCES = ("wrench_meas.fz", "wrench_meas.fx", "wrench_meas.fy")
-MOVED = 10.0  # sigma: an axis with a larger range was excited
 Spans = list[tuple[int, int]]  # first tick of each, and the one after its last
 
 
@@ -45,14 +43,12 @@ class Survey:
         contacts: in order; a latched contact lasts to the end, even if the force passes through
             zero.
         excited: columns with a range of more than MOVED sigma.
-        phase: angular frequency of the nominal contact times the sensor's nominal delay [rad].
     """
 
     free: int
     noise: dict[str, Noise]
     contacts: tuple[ContactSpan, ...]
     excited: tuple[str, ...]
-    phase: float
 
     def touching(self, rows: int, late: int, least: float = 0.0) -> np.ndarray:
         """``(rows,)`` bool: in a contact of at least ``least`` [N], or the sensor, ``late`` [ticks]
@@ -88,9 +84,7 @@ def look(record: Record, scenario: Scenario) -> Survey:
         for name in record.columns()
         if extent(record.column(name)) > MOVED * max(noise[name].white, 1e-300)
     )
-    k, body = scenario.mechanism.contact.stiffness, scenario.spacecraft
-    reduced = body.chaser.mass * body.target.mass / (body.chaser.mass + body.target.mass)
-    return Survey(free, noise, contacts, excited, math.sqrt(k / reduced) * scenario.sensor.delay)
+    return Survey(free, noise, contacts, excited)
 
 
 def penetration(record: Record) -> Array | None:
@@ -169,9 +163,7 @@ def _still(force: Array) -> Array:
 def _spans(
     record: Record, depth: Array | None, noise: dict[str, Noise], felt: tuple[str, ...]
 ) -> Spans:
-    """Start and end of each contact: pz > 0 if ``depth`` is given, otherwise one of the forces
-    ``felt`` above its noise floor (a cone is touched early).
-    """
+    """Each contact: pz > 0 if ``depth`` is given, else one of the forces above its noise floor."""
     if depth is not None:
         return _above(_bridged(depth), 0.0, 5 * noise[_depth_name(record)].white)
     if not felt:
@@ -182,12 +174,8 @@ def _spans(
 
 
 def _held(spans: Spans, record: Record, depth: Array | None, scenario: Scenario) -> Spans:
-    """The spans, with the final ones within the range of a latch, up to the end of the record,
-    merged into one.
-
-    The range is the depth at which the latch closes plus the deflection of its springs: they hold A
-    in the equilibrium in which they carry the load that the contact carried when they closed, and
-    oscillate about it.
+    """The spans, with the final ones within the range of a latch merged into one: the depth at
+    which it closes, plus the deflection of its springs, which oscillate under the load.
     """
     latch = scenario.mechanism.latch
     if latch is None or depth is None or not spans:
@@ -218,8 +206,7 @@ def _contact(
     scenario: Scenario,
     felt: tuple[str, ...],
 ) -> ContactSpan:
-    start, end = span
-    late = round(scenario.sensor.delay * scenario.rate)
+    (start, end), late = span, round(scenario.sensor.delay * scenario.rate)
     speed = deepest = None
     forces: dict[str, float] = {}
     for name in felt:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from hiltestbed.config.dataset import Channel
 from hiltestbed.frames import Array
 from hiltestbed.measured.columns import Columns
-from hiltestbed.measured.noise import step_of
-from hiltestbed.measured.record import MEASURED_GROUPS, stretches
+from hiltestbed.measured.noise import MOVED, step_of
+from hiltestbed.measured.record import MAX_BRIDGED, MEASURED_GROUPS, stretches
 from hiltestbed.measured.remark import Remark, loss, note
 from hiltestbed.measured.units import SI_UNIT, UNITS, factor, split_unit, unit_named
 from hiltestbed.signals import GROUPS
@@ -29,12 +29,9 @@ HELD_AXES = 3  # that must be constant together
 HELD_MOST = 0.5  # part of the rows: a source at half the rate of its log repeats every second
 HELD_LONGEST = 12  # successive rows; longer constant stretches are a sensor at rest
 # Steps to both neighbours of a value, in steps of the rows around it: a curve that turns in a dead
-# zone of n rows jumps by n/2 of its steps at either end, and no more than AROUND rows are taken for
-# missing ones within the range of a column.
+# zone of n rows jumps by n/2 of its steps at either end, and no more rows than MAX_BRIDGED within
+# the range of a column are taken for missing ones.
 FAR = 5.0
-AROUND = 5  # rows
-# steps in median steps of the column: 10 sigma of white noise, as the median step is 0.95 sigma
-ABOVE_NOISE = 10.0
 CHANCE = 0.01  # that a reading looks like a mark: by its repetitions and digits
 SAMPLED = 500  # values of a column whose digits are counted
 SPIKE_ROWS = 2  # rows of a spike, at most
@@ -73,10 +70,8 @@ def in_si(
 
     The unit of the channel map counts, then a scale in it, then the unit that the file ``stated``.
     """
-    own, remark = _unit(run, name, stated, channel)
-    scale = channel.scale * own
-    scaled = values if scale == 1.0 else scale * values
-    return (scaled if channel.offset == 0.0 else scaled + channel.offset), remark
+    own, remarks = _unit(run, name, stated, channel)
+    return channel.scale * own * values + channel.offset, remarks
 
 
 def _unit(run: int, name: str, stated: str, channel: Channel) -> tuple[float, list[Remark]]:
@@ -125,19 +120,6 @@ def _outlier(run: int, name: str, found: Outliers) -> Remark:
     return note(run, name, f"{text}: an outlier, used as it is", fix)
 
 
-def without_empty(
-    run: int, columns: Columns, source: Mapping[str, str]
-) -> tuple[Columns, list[Remark]]:
-    """The columns without those that are empty by intention, and a remark on their channels; one
-    with stamps of its own is a record that was cut short.
-    """
-    none = {c for c, values in columns.data.items() if not len(values) and c not in columns.clock}
-    empty = [name for name, column in source.items() if column in none]
-    columns.data = {name: values for name, values in columns.data.items() if name not in none}
-    text = "is empty in the file (0 samples): taken as not measured"
-    return columns, [loss(run, ", ".join(empty), text)] if empty else []
-
-
 def without_held(run: int, values: Mapping[str, Array]) -> tuple[dict[str, Array], list[Remark]]:
     """The columns, with NaN in the rows of a group that its logger held, and remarks on them: all
     its columns have the numbers of the row before again. Noise never does that, nor a motion that
@@ -149,8 +131,9 @@ def without_held(run: int, values: Mapping[str, Array]) -> tuple[dict[str, Array
         if len(names) < HELD_AXES or len({len(values[n]) for n in names}) != 1:
             continue
         rows = np.column_stack([values[n] for n in names])
-        if not any(_varies_freely(column) for column in rows.T):
-            continue
+        known = (column[np.isfinite(column)] for column in rows.T)
+        if not any(len(c) and np.ptp(c) > 0.0 and step_of(c) is None for c in known):
+            continue  # nothing moves, or all that does in steps
         held = np.r_[False, (rows[1:] == rows[:-1]).all(axis=1)] & (rows != 0.0).any(axis=1)
         for start, end in stretches(held):
             # what is computed or moves may rest at an end, the noise of a sensor never does
@@ -165,12 +148,6 @@ def without_held(run: int, values: Mapping[str, Array]) -> tuple[dict[str, Array
         )
         remarks.append(loss(run, group, text))
     return out, remarks
-
-
-def _varies_freely(values: Array) -> bool:
-    """Whether a column changes, and not in steps."""
-    known = values[np.isfinite(values)]
-    return len(known) > 0 and float(np.ptp(known)) > 0.0 and step_of(known) is None
 
 
 @dataclass(frozen=True)
@@ -195,8 +172,9 @@ def outliers(values: Array) -> Iterator[Outliers]:
     """The values in ``(rows,)`` that are isolated: a jump leads to them and a jump leads back, far
     beyond the steps of the rows around them and the noise.
 
-    Within the range of the other values at most :data:`AROUND` successive rows count, since a dead
-    zone holds zero for longer. At the ends one jump is enough.
+    Within the range of the other values at most MAX_BRIDGED successive rows count, since a dead
+    zone holds zero for longer. At the ends one jump is enough. The median step of white noise is
+    0.95 sigma.
     """
     at = np.flatnonzero(np.isfinite(values))
     x = values[at]
@@ -212,7 +190,7 @@ def outliers(values: Array) -> Iterator[Outliers]:
     back = np.r_[True, changes[1:] * changes[:-1] < 0.0, True]
     back &= jumps > np.r_[0.0, np.abs(changes[1:] + changes[:-1]), 0.0]
     found: dict[float, list[tuple[int, int]]] = {}
-    for k in np.flatnonzero(back & (jumps > ABOVE_NOISE * np.median(steps))):
+    for k in np.flatnonzero(back & (jumps > MOVED * np.median(steps))):
         around = np.r_[steps[max(0, k - 4) : max(0, k - 1)], steps[k + 1 : k + 4]]
         if len(around) and jumps[k] > FAR * np.median(around):
             found.setdefault(float(x[starts[k]]), []).append((int(starts[k]), int(ends[k])))
@@ -234,7 +212,8 @@ def _judged(
         # smaller one of two is rarer than half of the chance
         rare = 1.0 - 0.5 * CHANCE
         usual = float(np.quantile(np.abs(np.diff(rest)), rare)) if len(rest) > 1 else 0.0
-        runs = [(a, b) for a, b in runs if b - a <= AROUND and _least_jump(x, a, b) > usual]
+        jumps = np.r_[np.inf, np.abs(np.diff(x)), np.inf]  # to each row, and from the last
+        runs = [(a, b) for a, b in runs if b - a <= MAX_BRIDGED and min(jumps[a], jumps[b]) > usual]
     elif len(rest) < 0.5 * len(x):
         return
     if not runs:
@@ -249,34 +228,15 @@ def _judged(
     yield Outliers(value, rows, code, low, high)
 
 
-def _least_jump(x: Array, start: int, end: int) -> float:
-    """The smaller of the jumps to and from rows ``start`` to ``end``; at the ends there is one."""
-    jumps = [abs(x[k] - x[k - 1]) for k in (start, end) if 0 < k < len(x)]
-    return float(min(jumps, default=math.inf))
-
-
 def _chance(value: float, lengths: list[int], count: int, rest: Array) -> float:
-    """Probability that some of ``count`` isolated readings agree in ``value`` in as many stretches,
-    repeat it from row to row for their ``lengths``, and have as few digits, in a column that is
-    otherwise ``rest``.
-    """
+    """Probability that isolated readings of a column agree, last and are as short by chance."""
     many = len(lengths)
     agree = math.comb(count, many) * float(len(np.unique(rest))) ** (1 - many)
     held = float(np.mean(rest[1:] == rest[:-1])) ** (sum(lengths) - many) if len(rest) > 1 else 1.0
-    zeros = _shorter(value, rest[:: max(1, len(rest) // SAMPLED)])
-    return agree * held * 10.0**-zeros
-
-
-def _shorter(value: float, rest: Array) -> float:
-    """By how many digits a value is shorter than the ``rest`` is written: decimal places if most
-    have as many, as of a fixed format, otherwise significant digits.
-    """
-    places, digits = _written(rest)
-    own_places, own_digits = _written(np.array([value]))
-    low, high = np.quantile(places, (0.25, 0.75))
-    if high - low < 1.0:
-        return max(0.0, float(np.median(places) - own_places[0]))
-    return max(0.0, float(np.median(digits) - own_digits[0]))
+    written, own = _written(rest[:: max(1, len(rest) // SAMPLED)]), _written(np.array([value]))
+    # shorter by decimal places if most have as many, as of a fixed format, else by all digits
+    kind = 0 if np.subtract(*np.quantile(written[0], (0.75, 0.25))) < 1.0 else 1
+    return agree * held * 10.0 ** -max(0.0, float(np.median(written[kind]) - own[kind][0]))
 
 
 def _written(values: Array) -> tuple[Array, Array]:

@@ -76,53 +76,31 @@ Force = Annotated[str, BeforeValidator(partial(_limit, "N"))]
 Torque = Annotated[str, BeforeValidator(partial(_limit, "N m"))]
 
 
+def _bound(what: str) -> Any:
+    return Field(default=None, description=f"{what}, with its unit")
+
+
 class ApproachLimits(Strictly):
     """Limits of pose and motion of A in P at the first contact."""
 
-    closing_speed_min: Speed | None = Field(
-        default=None, description="Lowest speed along the insertion, with its unit"
-    )
-    closing_speed_max: Speed | None = Field(
-        default=None, description="Highest speed along the insertion, with its unit"
-    )
-    lateral_speed: Speed | None = Field(
-        default=None, description="Highest speed across the insertion, with its unit"
-    )
-    pitch_yaw_rate: Rate | None = Field(
-        default=None, description="Highest angular rate across the insertion, with its unit"
-    )
-    roll_rate: Rate | None = Field(
-        default=None, description="Highest angular rate about the insertion, with its unit"
-    )
-    lateral_offset: Length | None = Field(
-        default=None, description="Largest distance of A from the z axis of P, with its unit"
-    )
-    pitch_yaw: Angle | None = Field(
-        default=None, description="Largest angle between the z axes of A and P, with its unit"
-    )
-    roll: Angle | None = Field(
-        default=None, description="Largest angle about the insertion, with its unit"
-    )
+    closing_speed_min: Speed | None = _bound("Lowest speed along the insertion")
+    closing_speed_max: Speed | None = _bound("Highest speed along the insertion")
+    lateral_speed: Speed | None = _bound("Highest speed across the insertion")
+    pitch_yaw_rate: Rate | None = _bound("Highest angular rate across the insertion")
+    roll_rate: Rate | None = _bound("Highest angular rate about the insertion")
+    lateral_offset: Length | None = _bound("Largest distance of A from the z axis of P")
+    pitch_yaw: Angle | None = _bound("Largest angle between the z axes of A and P")
+    roll: Angle | None = _bound("Largest angle about the insertion")
 
 
 class LoadLimits(Strictly):
     """Limits of the physical wrench at P's origin."""
 
-    compression: Force | None = Field(
-        default=None, description="Largest force that pushes along the insertion, with its unit"
-    )
-    tension: Force | None = Field(
-        default=None, description="Largest force that pulls along the insertion, with its unit"
-    )
-    shear: Force | None = Field(
-        default=None, description="Largest force across the insertion, with its unit"
-    )
-    bending: Torque | None = Field(
-        default=None, description="Largest torque across the insertion, with its unit"
-    )
-    torsion: Torque | None = Field(
-        default=None, description="Largest torque about the insertion, with its unit"
-    )
+    compression: Force | None = _bound("Largest force that pushes along the insertion")
+    tension: Force | None = _bound("Largest force that pulls along the insertion")
+    shear: Force | None = _bound("Largest force across the insertion")
+    bending: Torque | None = _bound("Largest torque across the insertion")
+    torsion: Torque | None = _bound("Largest torque about the insertion")
 
 
 UNIT = dict.fromkeys(ApproachLimits.model_fields, "m/s") | {

@@ -165,9 +165,7 @@ class Scenario(Strictly):
 
 
 def _problems(scenario: Scenario) -> Iterator[Problem]:
-    """Every fault that concerns several keys together and needs no model: the others are found by
-    :func:`hiltestbed.build.runnable`.
-    """
+    """Every fault of several keys together that needs no model."""
     yield from _time_problems(scenario)
     platform, upper = scenario.rig.platform, scenario.rig.upper
     if upper.kind != "fixed" and not platform.carries_upper:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.axis.models import AxisRun, model_of
-from hiltestbed.axis.related import related
+from hiltestbed.axis.motion import related
 from tests.axis import machines
 
 T = np.arange(0.0, 2000.0) * 1e-3

@@ -28,7 +28,7 @@ def _record(scenario: Scenario, pz: np.ndarray, **forces: np.ndarray) -> Record:
 @pytest.mark.parametrize("peak", [200.0, -200.0, None])
 def test_what_pulls_touches_as_well_as_what_pushes(peak: float | None) -> None:
     contact = ContactSpan(10, 20, peak, 1e-3, None, None if peak is None else abs(peak))
-    survey = Survey(0, {}, (contact,), (), 0.0)
+    survey = Survey(0, {}, (contact,), ())
     assert survey.touching(40, late=4, least=50.0).sum() == 10 + 2 + 4 + 3
     assert survey.touching(40, late=4, least=500.0).any() == (peak is None)
 

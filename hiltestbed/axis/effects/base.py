@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
 from hiltestbed.axis.law import ArmNumbers
 from hiltestbed.effects.departure import Departure
-from hiltestbed.effects.search import Candidate
-from hiltestbed.plugins import Registry, placeholder
+from hiltestbed.effects.search import Candidate, candidate
+from hiltestbed.plugins import Registry
 
 AxisKind = Literal["drive", "servo", "damper", "arm"]
 
@@ -21,15 +21,14 @@ class RecordScale:
     """Orders of magnitude of a record, from which a search takes its starts and bounds.
 
     Attributes:
-        travel: range of the position. speed: largest, slow: the median of those in motion.
-            acceleration: largest. force: largest, of what is measured or drives.
+        travel: range of the position. speed, acceleration: largest. force: largest, of what is
+            measured or drives.
         tick: [s] between rows. duration: [s] of the longest run. rotates: whether positions are
             angles [rad]. stiffness, damping: of the nominal model, 0 where it has none.
     """
 
     travel: float
     speed: float
-    slow: float
     acceleration: float
     force: float
     tick: float
@@ -40,33 +39,51 @@ class RecordScale:
     resists: bool = False  # whether something resists the motion of the nominal drive
 
 
-class AxisEffect(Departure):
-    """Base of every effect on a single axis. A class needs a docstring and the parts named in
-    :data:`PARTS`.
-
-    Attributes:
-        axes: the kinds of axis on which it acts.
+class Sought(NamedTuple):
+    """Where a diagnosis seeks a parameter: starting points and bounds, in multiples of what ``of``
+    gives for the record; without bounds in the search range of the parameter.
     """
 
-    PARTS: ClassVar[tuple[str, ...]] = (
-        "docstring",
-        "link",
-        "axes",
-        "equation",
-        "reference",
-        "apply",
-        "parts",
-    )
+    starts: tuple[float, ...]
+    ends: tuple[float, float] | None = None
+    of: Callable[[RecordScale], float] = lambda reach: 1.0
+
+
+class AxisEffect(Departure):
+    """Base of every effect on a single axis. A class needs a docstring, the parts named in
+    :data:`PARTS`, and ``adds``, ``multiplies`` or a method ``apply``, and ``sought`` or a method
+    ``parts``.
+
+    Attributes:
+        axes: the kinds of axis on which it acts. adds, multiplies: parameter to the places in the
+            numbers of the axis that change by it. sought: the parameters that are sought together.
+            needs: parameters, as "kind:name", without which these mean nothing.
+    """
+
+    PARTS: ClassVar[tuple[str, ...]] = ("docstring", "link", "axes", "equation", "reference")
     axes: ClassVar[tuple[AxisKind, ...]] = ()
+    adds: ClassVar[Mapping[str, int]] = {}
+    multiplies: ClassVar[Mapping[str, tuple[int, ...]]] = {}
+    sought: ClassVar[Mapping[str, Sought]] = {}
+    needs: ClassVar[tuple[str, ...]] = ()
+
+    def apply(self, p: Any) -> None:
+        """Change the numbers of an axis, those of a law or of a servo, in place."""
+        numbers = getattr(p, "numbers", p)
+        for name, place in self.adds.items():
+            numbers[place] += getattr(self, name)
+        for name, places in self.multiplies.items():
+            numbers[list(places)] *= getattr(self, name)
 
     @classmethod
-    @placeholder
     def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         """The parts of the effect that a diagnosis searches: free parameters, bounds and starting
-        points, scaled to the data. A part of which another one makes sense only with it names that
-        in ``needs``.
+        points, scaled to the data.
         """
-        raise NotImplementedError
+        sizes = {name: (sought, sought.of(reach)) for name, sought in cls.sought.items()}
+        grids = {name: [q * size for q in s.starts] for name, (s, size) in sizes.items()}
+        bounds = {n: (s.ends[0] * x, s.ends[1] * x) for n, (s, x) in sizes.items() if s.ends}
+        yield candidate(cls, grids, bounds=bounds, needs=cls.needs)
 
 
 class DriveEffect(AxisEffect):
@@ -112,9 +129,7 @@ AXIS_EFFECTS: Registry[AxisEffect] = Registry(
     AxisEffect,
     (
         "hiltestbed.axis.effects.inertia",
-        "hiltestbed.axis.effects.arm",
         "hiltestbed.axis.effects.resistance",
-        "hiltestbed.axis.effects.position",
         "hiltestbed.axis.effects.damper",
         "hiltestbed.axis.effects.servo",
     ),

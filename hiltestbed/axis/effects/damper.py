@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from hiltestbed.axis import law
-from hiltestbed.axis.effects.base import DamperEffect, RecordScale
+from hiltestbed.axis.effects.base import DamperEffect, RecordScale, Sought
 from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
@@ -24,8 +24,7 @@ class DamperStiffness(DamperEffect):
     equation = "k -> factor k"
     reference = "Hooke"
 
-    def apply(self, p: law.AxisLaw) -> None:
-        p.numbers[law.SPRING] *= self.factor
+    multiplies = {"factor": (law.SPRING,)}
 
     @classmethod
     def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
@@ -42,8 +41,7 @@ class DamperDamping(DamperEffect):
     equation = "c -> factor c"
     reference = "viscous damper"
 
-    def apply(self, p: law.AxisLaw) -> None:
-        p.numbers[[law.VISCOUS, law.VISCOUS_BACK, law.BEYOND, law.BEYOND_BACK]] *= self.factor
+    multiplies = {"factor": (law.VISCOUS, law.VISCOUS_BACK, law.BEYOND, law.BEYOND_BACK)}
 
     @classmethod
     def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
@@ -121,19 +119,9 @@ class DamperPlay(DamperEffect):
     width: float = quantity("m", "Total play", ge=0.0)
     equation = "the spring of a slider is bent by what exceeds width/2 to either side"
     reference = "backlash of a joint"
-
-    def apply(self, p: law.AxisLaw) -> None:
-        p.numbers[law.PLAY] += self.width
-
-    @classmethod
-    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
-        x = reach.travel
-        yield candidate(
-            cls,
-            {"width": [0.02 * x, 0.1 * x, 0.3 * x]},
-            bounds={"width": (0.0, x)},
-            needs=("contact.dry_friction:force",),
-        )
+    adds = {"width": law.PLAY}
+    sought = {"width": Sought((0.02, 0.1, 0.3), (0.0, 1.0), lambda reach: reach.travel)}
+    needs = ("contact.dry_friction:force",)
 
 
 @register
@@ -207,13 +195,8 @@ class DamperRebound(DamperEffect):
     )
     equation = "c -> factor c where v < 0"
     reference = "J. C. Dixon, The Shock Absorber Handbook, 2007"
-
-    def apply(self, p: law.AxisLaw) -> None:
-        p.numbers[[law.VISCOUS_BACK, law.BEYOND_BACK]] *= self.factor
-
-    @classmethod
-    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
-        yield candidate(cls, {"factor": [1.0]})
+    multiplies = {"factor": (law.VISCOUS_BACK, law.BEYOND_BACK)}
+    sought = {"factor": Sought((1.0,))}
 
 
 @register
@@ -261,15 +244,8 @@ class DamperPreload(DamperEffect):
     equation = "F += force"
     reference = "gas pressure times the rod's cross-section"
     resembles = ("sensor.bias",)
-
-    def apply(self, p: law.AxisLaw) -> None:
-        p.numbers[law.OFFSET] += self.force
-
-    @classmethod
-    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
-        yield candidate(
-            cls, {"force": [0.0]}, bounds={"force": (-2.0 * reach.force, 2.0 * reach.force)}
-        )
+    adds = {"force": law.OFFSET}
+    sought = {"force": Sought((0.0,), (-2.0, 2.0), lambda reach: reach.force)}
 
 
 @register
@@ -304,8 +280,7 @@ class DamperOilLag(DamperEffect):
     reference = "bulk modulus of the oil column in series with the valve"
     resembles = ("contact.relaxation",)
 
-    def apply(self, p: law.AxisLaw) -> None:
-        p.numbers[law.LAG] += self.time_constant
+    adds = {"time_constant": law.LAG}
 
     @classmethod
     def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
@@ -326,11 +301,5 @@ class DamperDrift(DamperEffect):
     link = "sensor"
     equation = "F += rate t"
     reference = "charge-amplifier leakage current, or a gas that warms up"
-
-    def apply(self, p: law.AxisLaw) -> None:
-        p.numbers[law.RAMP] += self.rate
-
-    @classmethod
-    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
-        most = 0.5 * reach.force / reach.duration
-        yield candidate(cls, {"rate": [0.0]}, bounds={"rate": (-most, most)})
+    adds = {"rate": law.RAMP}
+    sought = {"rate": Sought((0.0,), (-0.5, 0.5), lambda reach: reach.force / reach.duration)}

@@ -1,4 +1,4 @@
-"""What resists the motion of a drive."""
+"""What resists the motion of a drive: friction, and forces that depend on its position."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ from collections.abc import Iterator
 from typing import Literal
 
 from hiltestbed.axis import law
-from hiltestbed.axis.effects.base import DriveEffect, RecordScale
+from hiltestbed.axis.effects.base import DriveEffect, RecordScale, Sought
 from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
 
-# of the travel: pitches of a force or friction that repeats along the axis, from which it is sought
-PITCHES = (0.05, 0.1, 0.2, 0.35, 0.6, 0.9)
-PHASES = (0.0, 1.57, 3.14, 4.71)  # [rad] quarters of a turn
-FADES = 0.5  # largest share of a force that may fade over a run, in the search
+# of a force or friction that repeats along the axis: its pitch, and its phase by quarters of a turn
+WAVE_PITCH = Sought((0.05, 0.1, 0.2, 0.35, 0.6, 0.9), (0.02, 1.0), lambda reach: reach.travel)
+WAVE_PHASE = Sought((0.0, 1.57, 3.14, 4.71))  # [rad]
 
 
 @register
@@ -104,13 +103,8 @@ class AxisLoadFriction(DriveEffect):
     equation = "R += coefficient |transmitted force| sgn(v)"
     reference = "M. Duclusaud and others, Extended Friction Models for Servo Actuators, 2024"
     resembles = ("dynamics.gain", "dynamics.mass")
-
-    def apply(self, p: law.AxisLaw) -> None:
-        p.numbers[law.LOAD] += self.coefficient
-
-    @classmethod
-    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
-        yield candidate(cls, {"coefficient": [0.05]})
+    adds = {"coefficient": law.LOAD}
+    sought = {"coefficient": Sought((0.05,))}
 
 
 @register
@@ -123,18 +117,11 @@ class AxisFrictionWave(DriveEffect):
     phase: float = quantity("rad", "Phase at the origin", search=(-7.0, 7.0))
     equation = "coulomb -> coulomb (1 + share sin(2 pi x/pitch + phase))"
     reference = "first harmonic of a friction that depends on the position"
+    sought = {"share": Sought((0.2,)), "pitch": WAVE_PITCH, "phase": WAVE_PHASE}
+    needs = ("dynamics.force:coulomb",)
 
     def apply(self, p: law.AxisLaw) -> None:
         p.numbers[[law.WAVE, law.WAVE_PITCH, law.WAVE_PHASE]] = self.share, self.pitch, self.phase
-
-    @classmethod
-    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
-        yield candidate(
-            cls,
-            {"share": [0.2], "pitch": [q * reach.travel for q in PITCHES], "phase": PHASES},
-            bounds={"pitch": (0.02 * reach.travel, reach.travel)},
-            needs=("dynamics.force:coulomb",),
-        )
 
 
 @register
@@ -146,11 +133,69 @@ class AxisFade(DriveEffect):
     axes = ("drive", "damper", "arm")
     equation = "dissipative forces -> (1 + rate t) times themselves"
     reference = "first order in time"
+    adds = {"rate": law.FADE}
+    sought = {"rate": Sought((0.0,), (-0.5, 0.5), lambda reach: 1.0 / reach.duration)}
 
-    def apply(self, p: law.AxisLaw) -> None:
-        p.numbers[law.FADE] += self.rate
+
+@register
+class AxisGravity(DriveEffect):
+    """Gravity on a joint: the weight of what it carries, about its axis."""
+
+    kind: Literal["dynamics.gravity"] = "dynamics.gravity"
+    sine: float = quantity("N m", "Moment that follows the sine of the angle", default=0.0)
+    cosine: float = quantity("N m", "Moment that follows the cosine of the angle", default=0.0)
+    equation = "R += sine sin x + cosine cos x"
+    reference = "m g l of a rigid load"
+    resembles = ("dynamics.spring",)
+    axes = ("drive",)  # of an arm, gravity follows from its bodies
+
+    adds = {"sine": law.GRAVITY_SIN, "cosine": law.GRAVITY_COS}
+    sought = dict.fromkeys(
+        ("sine", "cosine"), Sought((0.0,), (-2.0, 2.0), lambda reach: reach.force)
+    )
 
     @classmethod
     def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
-        most = FADES / reach.duration
-        yield candidate(cls, {"rate": [0.0]}, bounds={"rate": (-most, most)})
+        if reach.rotates:
+            yield from super().parts(reach)
+
+
+@register
+class AxisSpring(DriveEffect):
+    """A spring pulls the axis back, as a cable or a hose does."""
+
+    kind: Literal["dynamics.spring"] = "dynamics.spring"
+    stiffness: float = quantity("N/m", "Stiffness")
+    rest: float = quantity("m", "Position at which it is relaxed", default=0.0)
+    equation = "R += stiffness (x - rest)"
+    reference = "Hooke"
+    resembles = ("dynamics.gravity",)
+
+    def apply(self, p: law.AxisLaw) -> None:
+        p.numbers[law.SPRING] += self.stiffness
+        p.numbers[law.REST] = self.rest
+
+    @classmethod
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
+        most = 10.0 * reach.force / reach.travel
+        yield candidate(cls, {"stiffness": [0.0]}, bounds={"stiffness": (-most, most)}, rest=0.0)
+
+
+@register
+class AxisCogging(DriveEffect):
+    """A force that repeats along the axis: of a motor's poles, or of a screw."""
+
+    kind: Literal["dynamics.cogging"] = "dynamics.cogging"
+    amplitude: float = quantity("N", "Amplitude", ge=0.0)
+    pitch: float = quantity("m", "Distance after which it repeats", gt=0.0, ratio=True)
+    phase: float = quantity("rad", "Phase at the origin", search=(-7.0, 7.0))
+    equation = "R += amplitude sin(2 pi x/pitch + phase)"
+    reference = "first harmonic of a cogging force"
+    sought = {
+        "amplitude": Sought((0.05,), (0.0, 1.0), lambda reach: reach.force),
+        "pitch": WAVE_PITCH,
+        "phase": WAVE_PHASE,
+    }
+
+    def apply(self, p: law.AxisLaw) -> None:
+        p.numbers[[law.COG, law.COG_PITCH, law.COG_PHASE]] = self.amplitude, self.pitch, self.phase

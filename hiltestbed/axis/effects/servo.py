@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any, Literal
 
 from hiltestbed.axis import servo
-from hiltestbed.axis.effects.base import RecordScale, ServoEffect
+from hiltestbed.axis.effects.base import RecordScale, ServoEffect, Sought
 from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
@@ -36,8 +36,7 @@ class ServoDelay(ServoEffect):
     reference = "pure transport delay"
     resembles = ("platform.lag",)
 
-    def apply(self, p: Any) -> None:
-        p[servo.DELAY] += self.delay
+    adds = {"delay": servo.DELAY}
 
     @classmethod
     def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
@@ -172,16 +171,8 @@ class ServoPlay(ServoEffect):
     equation = "x = min(max(x, x_cmd - width/2), x_cmd + width/2)"
     reference = "play operator"
     resembles = ("platform.drive",)
-
-    def apply(self, p: Any) -> None:
-        p[servo.PLAY] += self.width
-
-    @classmethod
-    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
-        x = reach.travel
-        yield candidate(
-            cls, {"width": [0.003 * x, 0.01 * x, 0.05 * x]}, bounds={"width": (0.0, 0.5 * x)}
-        )
+    adds = {"width": servo.PLAY}
+    sought = {"width": Sought((0.003, 0.01, 0.05), (0.0, 0.5), lambda reach: reach.travel)}
 
 
 @register
@@ -192,13 +183,8 @@ class ServoScale(ServoEffect):
     factor: float = quantity("-", "Ratio of actual to commanded motion", search=(-0.5, 2.0))
     equation = "x = factor x_cmd"
     reference = "geometric calibration error"
-
-    def apply(self, p: Any) -> None:
-        p[servo.SCALE] *= self.factor
-
-    @classmethod
-    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
-        yield candidate(cls, {"factor": [1.0]})
+    multiplies = {"factor": (servo.SCALE,)}
+    sought = {"factor": Sought((1.0,))}
 
 
 @register
@@ -212,14 +198,8 @@ class ServoOffset(ServoEffect):
     equation = "x += offset"
     reference = "droop under a load, or zero of the encoder"
     resembles = ("platform.drive",)
-
-    def apply(self, p: Any) -> None:
-        p[servo.OFFSET] += self.offset
-
-    @classmethod
-    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
-        x = reach.travel
-        yield candidate(cls, {"offset": [0.0]}, bounds={"offset": (-x, x)})
+    adds = {"offset": servo.OFFSET}
+    sought = {"offset": Sought((0.0,), (-1.0, 1.0), lambda reach: reach.travel)}
 
 
 @register
@@ -231,13 +211,7 @@ class ServoSpeedLimit(ServoEffect):
     equation = "|x'| <= speed"
     reference = "actuator rate limit"
     vanishes = True
+    sought = {"speed": Sought((0.9, 0.5, 0.2), (1e-3, 1.5), lambda reach: reach.speed)}
 
     def apply(self, p: Any) -> None:
         p[servo.SPEED] = min(p[servo.SPEED], self.speed)
-
-    @classmethod
-    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
-        v = reach.speed
-        yield candidate(
-            cls, {"speed": [0.9 * v, 0.5 * v, 0.2 * v]}, bounds={"speed": (1e-3 * v, 1.5 * v)}
-        )

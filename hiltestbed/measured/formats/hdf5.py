@@ -54,9 +54,7 @@ def read_datasets(path: Path, wanted: Set[str], rows: int) -> Columns:
 
 
 def _collect(arrays: Arrays, name: str, item: Any, around: tuple[Any, ...]) -> None:
-    """Add the datasets at and below ``item``, through soft and external links as well; not those
-    of the groups ``around`` it, to which a link may lead back.
-    """
+    """Add the datasets at and below ``item``, through links, but not those ``around`` it again."""
     if not hasattr(item, "dtype"):
         for key in item if hasattr(item, "keys") and item not in around else ():
             inner = f"{name}.{key}" if name else key

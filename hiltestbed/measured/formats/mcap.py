@@ -111,9 +111,7 @@ def _columns(
 
 
 def _unevenness(clock: Mapping[str, Array]) -> float:
-    """Mean departure of the steps of each clock from their median, in means; infinite if one does
-    not run or goes backwards.
-    """
+    """Mean departure of the steps from their median, in means; infinite if a clock runs back."""
     spread = 0.0
     for steps in (np.diff(t) for t in clock.values() if len(t) > 2):
         mean = float(steps.mean())

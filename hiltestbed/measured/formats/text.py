@@ -239,18 +239,13 @@ def _batches(
         include_columns=kept, column_types=dict.fromkeys(kept, pa.string())
     )
     with tempfile.TemporaryFile() as blanks:
-        if blank:
-            blanks.writelines(_single_blanks(path, encoding))
+        if blank:  # one between the cells, and none before or after them
+            with path.open(encoding=encoding, errors="replace") as file:
+                blanks.writelines(" ".join(line.split()).encode() + b"\n" for line in file)
             blanks.seek(0)
         source: Any = blanks if blank else path
         with pa_csv.open_csv(source, read, parse, texts) as stream:
             yield from stream
-
-
-def _single_blanks(path: Path, encoding: str) -> Iterator[bytes]:
-    """The lines with one blank between their cells and none before or after them, in UTF-8."""
-    with path.open(encoding=encoding, errors="replace") as file:
-        yield from (" ".join(line.split()).encode() + b"\n" for line in file)
 
 
 def _is_number(text: str | None, dialect: Dialect) -> bool:
@@ -352,14 +347,14 @@ def _line(text: str, delimiter: str, decimal: str) -> _Line:
 
 
 def _headers(table: Sequence[_Line], given: int | None) -> list[int]:
-    """The lines that may hold the names: without numbers, or the first with some and text, or with
-    1, 2, ... or 0, 1, ...; -1: none, where neither that line nor one above it has text.
-    """
+    """The lines that may hold the names, without numbers or with some text; -1: none does."""
     if given is not None or not table:
         return [given - 1] if given is not None and given <= len(table) else []
     numbered = next((k for k, line in enumerate(table) if line.score), -1)
     first = table[numbered]
-    counted = any(first.cells == _counted(len(first.cells), start) for start in (0, 1))
+    # names that are numbers; of two columns they may as well be a row
+    columns = range(len(first.cells)) if len(first.cells) > 2 else ()
+    counted = any(first.cells == tuple(str(k + start) for k in columns) for start in (0, 1))
     named = [
         k
         for k, line in enumerate(table[:HEADER_LINES])
@@ -369,11 +364,6 @@ def _headers(table: Sequence[_Line], given: int | None) -> list[int]:
     ]
     text = any(line.width and not line.comment for line in table[:numbered])
     return named if text or counted or first.score < 1.0 else [*named, -1]
-
-
-def _counted(columns: int, start: int) -> tuple[str, ...]:
-    """Names that are numbers; of two columns they may as well be a row."""
-    return tuple(str(k + start) for k in range(columns)) if columns > 2 else ()
 
 
 def _units(line: _Line) -> bool:
