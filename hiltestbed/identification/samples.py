@@ -17,8 +17,7 @@ An unknown delay can be estimated from the instant of touch: the pose crosses th
 point at t0, the force rises at t0 + delay. Nothing else determines it: during the contact, c
 absorbs any error of the delay (``c - k d`` fits as well as ``c``, to first order in w d). The
 estimate needs a touch point that is known to ``v0 d`` (30 um for a millisecond at 0.03 m/s), and a
-force that rises by more than its noise within a tick; where it does not, the reported standard
-deviation is larger.
+force that rises by more than its noise within a tick.
 """
 
 from __future__ import annotations
@@ -196,8 +195,7 @@ class ContactSamples:
         self.held = held = HeldPlace(mechanisms)
         self.captures = first.captures
         self.captured, self.steps = np.zeros(n, dtype=bool), np.zeros(n, dtype=np.int64)
-        # force and speed at the first contact sample, delay as found then
-        self._onset = np.full((n, 3), np.nan)
+        self._touched = np.zeros(n, dtype=bool)  # whether there was a contact sample
         self.found = Samples(
             np.zeros(n, dtype=bool), np.zeros(n, dtype=bool), np.zeros((n, 3)), np.zeros((n, 7, 4))
         )
@@ -205,7 +203,7 @@ class ContactSamples:
         self.sample = self.whole[:, :NORMAL]
         self.at_once = np.zeros(n, dtype=np.int64)
         self._met = Call(_meet, ..., sides.geometry, GIVEN, GIVEN, past, self.at_once)
-        onset = (longest, self._onset) if estimate else None
+        onset = (longest, self._touched) if estimate else None
         latches = held.latches if self.captures else None
         parts = (given, past, self.delay, latches, held.now, onset, self.found)
         self._taken = Call(_take, ..., (GIVEN,) * 6, *parts)
@@ -220,32 +218,6 @@ class ContactSamples:
             self._met.on(pose, twist)(k)
         self._taken.on(wrench, force, pose, twist, self.captured, self.steps)(k)
         self._clock[0] = k + 1
-
-    def delay_sd(self, stiffness: Array) -> Array:
-        """``(n,)`` [s] standard deviation of the estimated delay, given the axial stiffness
-        ``(n,)``; NaN before a touch.
-
-        The touch lies within the tick before the first force or, if the force rises so slowly that
-        an earlier tick may have been below the noise, within the time that the force takes to
-        exceed the threshold.
-        """
-        force, speed = self._onset[:, 0], self._onset[:, 1]
-        hidden = force - stiffness * speed * self.tick <= self.threshold
-        slow = np.where(hidden, self.threshold / (stiffness * speed), 0.0)
-        return np.hypot(self.tick / math.sqrt(12.0), slow)
-
-
-@njit(cache=True)
-def _remember(k, pose, twist, lever, reference, past):
-    x, v = past.x, past.v
-    slot = k % x.shape[1]
-    for i in range(pose.shape[0]):
-        referred(pose[i], twist[i], lever[i], reference[i], x[i, slot], v[i, slot])
-        if k == 0:  # the values before the start do not matter: no force acted then
-            for s in range(x.shape[1]):
-                for j in range(x.shape[2]):
-                    x[i, s, j] = x[i, slot, j]
-                    v[i, s, j] = v[i, slot, j]
 
 
 @njit(cache=True)
@@ -293,14 +265,49 @@ def _take(k, rig, given, past, delay, latches, held, onset, found):
     ``latches``: None without any. ``onset``: None for a delay that is known.
     """
     wrench, force, pose, twist, captured, steps = rig
+    x, v, gated, peak, felt = past.x, past.v, past.gated, past.peak, past.felt
+    length, slot = x.shape[1], k % x.shape[1]
     if latches is not None:
         update_held(pose, captured, steps, latches, held)
-    _remember(k, pose, twist, held.lever, held.reference, past)
-    _gate(wrench, captured, delay, given, past)
-    if onset is not None:
-        _find_delay(k, given.tick, onset, wrench, past, delay)
+    for i in range(pose.shape[0]):
+        referred(pose[i], twist[i], held.lever[i], held.reference[i], x[i, slot], v[i, slot])
+        if k == 0:  # the values before the start do not matter: no force acted then
+            for s in range(length):
+                for j in range(x.shape[2]):
+                    x[i, s, j] = x[i, slot, j]
+                    v[i, s, j] = v[i, slot, j]
+        # pushing is positive; a high-pass leaves a negative undershoot after the contact
+        axial = wrench[i, 2]
+        peak[i] = max(peak[i], axial)
+        felt[i] = felt[i] + 1 if captured[i] else 0
+        # the force read now acted after the latches had closed
+        acted = felt[i] > delay[i] / given.tick + 1.0
+        pressed = axial > given.threshold[i] and axial > GATE_PEAK * peak[i]
+        gated[i] = gated[i] + 1 if acted or pressed else 0
+        if onset is None or gated[i] != 1 or onset[1][i]:
+            continue
+        # at a run's first contact sample: delay as the time since the nominal touch was crossed
+        for back in range(length - 1):  # the tick within which the pose crossed the touch point
+            late, early = x[i, (k - back) % length, 2], x[i, (k - back - 1) % length, 2]
+            if early < 0.0 <= late:
+                crossed = back + late / (late - early)
+                delay[i] = min(max((crossed - 0.5) * given.tick, 0.0), onset[0])
+                onset[1][i] = True
+                break
     _sample(k, force, captured, delay, given, past, held.origin, found.place)
-    _choose(k, delay, given, past, held.changes, held.since, found)
+    # The sample of ``margin`` ticks ago is used if the contact lasted for as many ticks before and
+    # after it. On the six axes the mechanism must not have changed in that time, counted from when
+    # the force acted.
+    margin, flat, pending = given.margin, given.flat, past.pending
+    for i in range(gated.shape[0]):
+        needed = 2 * margin[i] + 1
+        lasted = gated[i] >= needed
+        same = held.changes[i] == 0 or (held.since[i] >= needed + math.ceil(delay[i] / given.tick))
+        found.ready[i] = lasted and same and (flat[i] or felt[i] > 0)
+        found.ready_normal[i] = lasted and given.known and felt[i] == 0
+        for j in range(7):
+            for c in range(4):
+                found.whole[i, j, c] = pending[i, (k - margin[i]) % pending.shape[1], j, c]
 
 
 @njit(cache=True)
@@ -344,59 +351,3 @@ def _sample(k, wrench, captured, delay, given, past, origin, place):
                 pending[i, slot, NORMAL, 3] += wrench[i, j] * (
                     (1.0 - part) * normal[i, late, j] + part * normal[i, early, j]
                 )
-
-
-@njit(cache=True)
-def _choose(k, delay, given, past, changes, since, found):
-    """The sample of ``margin`` (n,) ticks ago, which is used if the contact lasted for as many
-    ticks before and after it.
-
-    On the six axes the mechanism must not have changed in that time, counted from when the force
-    acted.
-    """
-    h, margin, flat, known = given.tick, given.margin, given.flat, given.known
-    gated, felt, pending = past.gated, past.felt, past.pending
-    for i in range(gated.shape[0]):
-        lasted = gated[i] >= 2 * margin[i] + 1
-        same = changes[i] == 0 or since[i] >= 2 * margin[i] + 1 + math.ceil(delay[i] / h)
-        found.ready[i] = lasted and same and (flat[i] or felt[i] > 0)
-        found.ready_normal[i] = lasted and known and felt[i] == 0
-        slot = (k - margin[i]) % pending.shape[1]
-        for j in range(7):
-            for c in range(4):
-                found.whole[i, j, c] = pending[i, slot, j, c]
-
-
-@njit(cache=True)
-def _gate(wrench, captured, delay, given, past):
-    threshold, gated, peak, held = given.threshold, past.gated, past.peak, past.felt
-    for i in range(wrench.shape[0]):
-        # pushing is positive; a high-pass leaves a negative undershoot after the contact
-        force = wrench[i, 2]
-        peak[i] = max(peak[i], force)
-        held[i] = held[i] + 1 if captured[i] else 0
-        # the force read now acted after the latches had closed
-        felt = held[i] > delay[i] / given.tick + 1.0
-        gated[i] = (
-            gated[i] + 1 if felt or (force > threshold[i] and force > GATE_PEAK * peak[i]) else 0
-        )
-
-
-@njit(cache=True)
-def _find_delay(k, h, onset, wrench, past, delay):
-    """At a run's first contact sample: delay as the time since the nominal touch was crossed."""
-    longest, first = onset
-    x, v, gated = past.x, past.v, past.gated
-    length = x.shape[1]
-    for i in range(wrench.shape[0]):
-        if gated[i] != 1 or not np.isnan(first[i, 0]):
-            continue
-        for back in range(length - 1):  # the tick within which the pose crossed the touch point
-            late, early = x[i, (k - back) % length, 2], x[i, (k - back - 1) % length, 2]
-            if early < 0.0 <= late:
-                crossed = back + late / (late - early)
-                delay[i] = min(max((crossed - 0.5) * h, 0.0), longest)
-                first[i, 0] = wrench[i, 2]
-                first[i, 1] = v[i, (k - back) % length, 2]
-                first[i, 2] = delay[i]
-                break
