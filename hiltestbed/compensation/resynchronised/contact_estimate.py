@@ -150,13 +150,10 @@ def learn(fit, law, count, sample, sigma):
     if law[KNOWN] == 0.0:  # that of y = k x + c v without an intercept, to weight the touch point
         det, whole = fit[XX] * fit[VV] - fit[XV] * fit[XV], fit[XX] * fit[VV]
         k = (fit[VV] * fit[XY] - fit[XV] * fit[VY]) / det if det > 1e-12 * whole else 0.0
-    if k > 0.0:
-        _solve(fit, law, k, max(variance, 1e-30))
-
-
-@njit(cache=True)
-def _solve(fit, law, k, variance):
-    """Solve for the posterior of (k, c, b) by Cramer's rule, with scaled columns."""
+    if k <= 0.0:
+        return
+    # the posterior of (k, c, b) by Cramer's rule, with scaled columns
+    variance = max(variance, 1e-30)
     weight_k = variance / fit[SD_K] ** 2 if fit[SD_K] > 0.0 else 0.0
     weight_c = variance / fit[SD_C] ** 2 if fit[SD_C] > 0.0 else 0.0
     sd_x = (

@@ -97,19 +97,6 @@ class ContactWindow(NamedTuple):
 
 
 @njit(cache=True)
-def onset(m, touch):
-    """The step of the physics that first is beyond a touch point [m], in the latest passage before
-    the force was felt.
-    """
-    step = m.felt * m.substeps
-    while step > 1 and m.s[step] <= touch:
-        step -= 1
-    while step > 1 and m.s[step - 1] > touch:
-        step -= 1
-    return step
-
-
-@njit(cache=True)
 def low_pass_of(lag, digital, weights):
     """Weights (2,) of a low-pass with the time constant ``lag`` [ticks]: a digital one, y += (u -
     y)/(1 + lag), or an analogue one, as in :func:`hiltestbed.sensor.chain.low_pass`.
@@ -143,24 +130,6 @@ class Solution(NamedTuple):
 
 
 @njit(cache=True, inline="always")
-def _solution(m, p):
-    return Solution(
-        p[STIFFNESS],
-        p[DAMPING],
-        p[DEEPENING],
-        p[STOP],
-        p[POINT],
-        p[DELAY],
-        p[RATE],
-        p[KNOT],
-        p[ONSET],
-        m.felt,
-        m.substeps,
-        m.s.shape[0] - 2,
-    )
-
-
-@njit(cache=True, inline="always")
 def _acts(c, step, x, v):
     """1 where a contact pushes, with the coefficients of the last solution, else 0."""
     force = c.stiffness * x + c.damping * v + c.deepening * x * v + c.stop * max(x - c.knot, 0.0)
@@ -182,7 +151,9 @@ def _at(c, s, u, read):
 @njit(cache=True)
 def columns(m, p, used, rows):
     """The law's columns as the sensor shows them with the solution ``p``, into ``rows`` (r, 4)."""
-    c, s, u = _solution(m, p), m.s, m.u
+    s, u = m.s, m.u
+    law = p[STIFFNESS], p[DAMPING], p[DEEPENING], p[STOP], p[POINT], p[DELAY], p[RATE], p[KNOT]
+    c = Solution(*law, p[ONSET], m.felt, m.substeps, s.shape[0] - 2)
     if p[LAG] <= 0.0 and m.leak[0] >= 1.0:
         for r in range(m.y.shape[0]):
             x, v, deep, over = _at(c, s, u, float(m.first + r))
@@ -728,7 +699,13 @@ def fit(m, free, best, used):
     work = (np.zeros((n, LINEAR)), np.zeros((n, LINEAR)), np.zeros((n, UNKNOWNS)))
     told, now, mine = np.zeros(SOLUTION), np.zeros(SOLUTION), np.zeros(UNKNOWNS, dtype=np.bool_)
     told[POINT], told[DELAY], told[LAG] = m.expected, m.told, m.lag
-    told[ONSET], told[DIGITAL] = onset(m, m.expected), m.digital
+    # the step that first is beyond the touch point, in the latest passage before the force was felt
+    step = m.felt * m.substeps
+    while step > 1 and m.s[step] <= m.expected:
+        step -= 1
+    while step > 1 and m.s[step - 1] > m.expected:
+        step -= 1
+    told[ONSET], told[DIGITAL] = step, m.digital
     mine[STIFFNESS], mine[DAMPING] = True, True
     misfit(m, told, mine, work[0])
     _scatter(m, told, mine, work[0])
