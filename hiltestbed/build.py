@@ -82,7 +82,7 @@ def monitor(scenarios: Sequence[Scenario]) -> ProcessMonitor:
 
 def dead_zone(scenarios: Sequence[Scenario]) -> InputDeadZone:
     """What the compensation does not see of the readings."""
-    return InputDeadZone([InputParameters.of(s.effects) for s in scenarios])
+    return InputDeadZone([InputParameters().with_effects(s.effects) for s in scenarios])
 
 
 def identification(scenarios: Sequence[Scenario]) -> Identification | None:

@@ -22,7 +22,7 @@ from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.resolution import converged, rate_for_comparison, sufficient_rate
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.touch import axis_truth, normal_truth
-from hiltestbed.effects.log import log_parameters, stamp_late
+from hiltestbed.effects.log import LogParameters, stamp_late
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.loop import Loop
@@ -186,7 +186,7 @@ def simulate(
     if rows is not None:
         rows.length[:] = loop.k
         if isinstance(rows, Trace):
-            skews = [log_parameters(s.effects).skew for s in scenarios]
+            skews = [LogParameters().with_effects(s.effects).skew for s in scenarios]
             stamp_late(rows, scenarios[0].rate, skews)
         for i, (k, *_) in loop.trouble.items():
             rows.length[i] = k + 1

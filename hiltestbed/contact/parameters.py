@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiltestbed.config.piecewise import PACKED, packed
-from hiltestbed.effects.base import Effect
+from hiltestbed.effects.base import Effect, LinkParameters
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class ContactParameters:
+class ContactParameters(LinkParameters):
     """One contact; an inactive term of the law has a neutral value.
 
     Attributes:
@@ -48,6 +48,7 @@ class ContactParameters:
         force that is added.
     """
 
+    link = "contact"
     stiffness: float
     damping: float = 0.0
     power_stiffness: float = 0.0
@@ -86,13 +87,6 @@ class ContactParameters:
     def believed(cls, contact: Contact) -> ContactParameters:
         """The nominal contact: the settings of a scenario, without effects."""
         return cls(contact.stiffness, contact.damping, friction=contact.friction)
-
-    def with_effects(self, effects: Iterable[Effect]) -> ContactParameters:
-        """Apply those of ``effects`` that act on the contact, in place; returns itself."""
-        for effect in effects:
-            if effect.link == "contact":
-                effect.apply(self)
-        return self
 
     def after_capture(self) -> ContactParameters:
         """Without what belongs to a touch, in place, for a latch that closed during a run."""

@@ -8,10 +8,10 @@ and starting points, and equivalent delay.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, ClassVar, Self
 
-from hiltestbed.effects.departure import Departure
+from hiltestbed.effects.departure import Departure, Link
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.plugins import placeholder
 
@@ -50,6 +50,19 @@ class Effect(Departure):
     def unfit(self, scenario: ScenarioLike) -> str | None:
         """Why it cannot act in ``scenario``, and what it would need; None if it can act."""
         return None
+
+
+class LinkParameters:
+    """Base of the parameters of a link's model, which the effects on the ``link`` change."""
+
+    link: ClassVar[Link]
+
+    def with_effects(self, effects: Iterable[Effect]) -> Self:
+        """Apply those of ``effects`` that act on the link, in place; returns itself."""
+        for effect in effects:
+            if effect.link == self.link:
+                effect.apply(self)
+        return self
 
 
 def repeated(effects: Sequence[Effect]) -> Iterator[tuple[int, Effect]]:

@@ -75,7 +75,7 @@ class NumericalModel:
         self._tau, self._before = np.zeros((n, 2, 6)), np.zeros((n, 2, 6))
         self._approach = approach_states(s.approach for s in scenarios)
         self._depart(
-            stack([DynamicsParameters.of(s.effects) for s in scenarios])
+            stack([DynamicsParameters().with_effects(s.effects) for s in scenarios])
             if departures is None
             else departures
         )
