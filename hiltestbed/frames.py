@@ -168,10 +168,17 @@ def wrench_moved(pose_PS, wrench_S, out):
     """``out``: ``wrench_S`` in S at S's origin, in P at P's origin; ``pose_PS``: of S in P."""
     rotate(pose_PS[3:7], wrench_S[0:3], out[0:3])
     rotate(pose_PS[3:7], wrench_S[3:6], out[3:6])
-    arm = np.empty(3)
-    cross(pose_PS[0:3], out[0:3], arm)
-    for i in range(3):
-        out[3 + i] += arm[i]
+    add_moment(1.0, pose_PS, out)
+
+
+@njit(cache=True)
+def add_moment(sign, position, wrench):
+    """Add to the torque of a ``wrench`` (6,) ``sign`` times the moment of its force at ``position``
+    (3,): -1 moves the reference point to ``position``, 1 moves it back.
+    """
+    wrench[3] += sign * (position[1] * wrench[2] - position[2] * wrench[1])
+    wrench[4] += sign * (position[2] * wrench[0] - position[0] * wrench[2])
+    wrench[5] += sign * (position[0] * wrench[1] - position[1] * wrench[0])
 
 
 @njit(cache=True)

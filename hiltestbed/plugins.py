@@ -170,6 +170,14 @@ def register(cls: type[T]) -> type[T]:
     )
 
 
+def all_of(cls: type[T], sections: Sequence[Any]) -> list[T]:
+    """``sections``, all of class ``cls``. Raises TypeError for another."""
+    other = next((s for s in sections if not isinstance(s, cls)), None)
+    if other is not None:
+        raise TypeError(f"settings of {cls.__name__} expected (got {type(other).__name__})")
+    return list(sections)
+
+
 def depends(refresh: Callable[[], None]) -> Callable[[], None]:
     """Call ``refresh`` after each addition: for models whose schema lists a registry."""
     _DEPENDENTS.append(refresh)

@@ -13,7 +13,7 @@ from pydantic import Field
 from hiltestbed.compensation.interfaces import Drive, ForceBlock, ForcePath, PoseBlock
 from hiltestbed.config.validation import Problem, Strictly
 from hiltestbed.numerical_model.bodies import effective_mass
-from hiltestbed.plugins import OneOf, Registry, placeholder
+from hiltestbed.plugins import OneOf, Registry, all_of, placeholder
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel
@@ -124,7 +124,8 @@ class MotionMethod(Strictly):
     @classmethod
     def start(cls, scenarios: Sequence[ScenarioLike]) -> PoseBlock | None:
         """The method for ``n`` runs; None if the pose is commanded unchanged."""
-        return cls.block(motion_of(scenarios, cls), scenarios[0].rate)
+        motions = all_of(cls, [s.compensation.motion for s in scenarios])
+        return cls.block(motions, scenarios[0].rate)
 
     @classmethod
     def block(cls, own: Sequence[Self], rate: float) -> PoseBlock | None:
@@ -145,24 +146,11 @@ AnyMotionMethod = Annotated[MotionMethod, OneOf(MOTION_METHODS)]
 
 
 Force = TypeVar("Force", bound=ForceMethod)
-Motion = TypeVar("Motion", bound=MotionMethod)
 
 
 def force_of(scenarios: Sequence[ScenarioLike], method: type[Force]) -> list[Force]:
     """``compensation.force`` of each, all of class ``method``. Raises TypeError for another."""
-    return _all_of(method, [s.compensation.force for s in scenarios])
-
-
-def motion_of(scenarios: Sequence[ScenarioLike], method: type[Motion]) -> list[Motion]:
-    """``compensation.motion`` of each, all of class ``method``. Raises TypeError for another."""
-    return _all_of(method, [s.compensation.motion for s in scenarios])
-
-
-def _all_of(method: type, sections: list[Any]) -> list[Any]:
-    other = next((s for s in sections if not isinstance(s, method)), None)
-    if other is not None:
-        raise TypeError(f"settings of {method.__name__} expected (got {type(other).__name__})")
-    return sections
+    return all_of(method, [s.compensation.force for s in scenarios])
 
 
 class BlockMethod(ForceMethod):

@@ -102,7 +102,9 @@ class Engagement:
         self._geometry, self._facets = sides.geometry, len(sides.facets)
         pairs = (*sides.facets, *sides.native)
         self.parameters = laws
-        self.linear = _linear(self.parameters[:, :-1])
+        neutral = ContactParameters(1.0).row()
+        # whether only a linear spring and damper act along the normal
+        self.linear = np.all(laws[:, :-1, LINEAR] == neutral[LINEAR], axis=-1)
         self._live = np.ones((n, len(pairs)), dtype=bool)
         self.tilt = tilts(self.parameters[:, -1])
         self._bodies = _Bodies(batch, structure, self.tilt)
@@ -199,12 +201,6 @@ class Engagement:
         return self._relative
 
 
-def _linear(rows: Array) -> NDArray[np.bool_]:
-    """Whether only a linear spring and damper act along the normal."""
-    neutral = ContactParameters(1.0).row()
-    return np.all(rows[..., LINEAR] == neutral[LINEAR], axis=-1)
-
-
 class _Bodies:
     """The frames to which geoms and sites are fixed.
 
@@ -283,7 +279,21 @@ def _update(sides, bodies, parts, felt, facets, native, closures, latched):
         for j in range(6):
             motions[i, A, j], motions[i, S, j] = twist[i, j], motion[i, j]
     if parts is not None:
-        _move_parts(*parts, frames, motions)
+        ids, roots, xpos, xquat, cvel, com = parts
+        # ``cvel`` is at the centre of mass of its tree, angular first
+        for i in range(frames.shape[0]):
+            for k in range(ids.shape[0]):
+                b, at = ids[k], com[i, roots[k]]
+                frame, moved = frames[i, FRAMES + k], motions[i, FRAMES + k]
+                for j in range(3):
+                    frame[j] = xpos[i, b, j]
+                    frame[3 + j] = xquat[i, b, 1 + j]
+                    moved[3 + j] = cvel[i, b, j]
+                frame[6] = xquat[i, b, 0]
+                rx, ry, rz = frame[0] - at[0], frame[1] - at[1], frame[2] - at[2]
+                moved[0] = cvel[i, b, 3] + moved[4] * rz - moved[5] * ry
+                moved[1] = cvel[i, b, 4] + moved[5] * rx - moved[3] * rz
+                moved[2] = cvel[i, b, 5] + moved[3] * ry - moved[4] * rx
     if facets is not None:
         touch_facets(*facets)
     else:
@@ -296,21 +306,3 @@ def _update(sides, bodies, parts, felt, facets, native, closures, latched):
         hold(*closures)
         for i in range(latched.shape[0]):
             felt.touching[i] |= latched[i]
-
-
-@njit(cache=True)
-def _move_parts(ids, roots, xpos, xquat, cvel, com, frames, motions):
-    """Poses and twists of bodies; ``cvel`` is at the centre of mass of its tree, angular first."""
-    for i in range(frames.shape[0]):
-        for k in range(ids.shape[0]):
-            b, at = ids[k], com[i, roots[k]]
-            pose, twist = frames[i, FRAMES + k], motions[i, FRAMES + k]
-            for j in range(3):
-                pose[j] = xpos[i, b, j]
-                pose[3 + j] = xquat[i, b, 1 + j]
-                twist[3 + j] = cvel[i, b, j]
-            pose[6] = xquat[i, b, 0]
-            rx, ry, rz = pose[0] - at[0], pose[1] - at[1], pose[2] - at[2]
-            twist[0] = cvel[i, b, 3] + twist[4] * rz - twist[5] * ry
-            twist[1] = cvel[i, b, 4] + twist[5] * rx - twist[3] * rz
-            twist[2] = cvel[i, b, 5] + twist[3] * ry - twist[4] * rx

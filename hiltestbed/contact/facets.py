@@ -88,20 +88,6 @@ def spring(linear, row, push, drag, show, g, solref, friction):
 
 
 @njit(cache=True)
-def outwards(point, normal, slip, place, side, out):
-    """Point, normal and slip in W, with the normal as the direction of the force on the passive
-    side, the slip that of the active side.
-    """
-    rotate(place[3:7], point, out[POINT : POINT + 3])
-    rotate(place[3:7], normal, out[NORM : NORM + 3])
-    rotate(place[3:7], slip, out[SLIP : SLIP + 3])
-    for j in range(3):
-        out[POINT + j] += place[j]
-        out[NORM + j] *= side
-        out[SLIP + j] *= side
-
-
-@njit(cache=True)
 def pose_facet(i, c, show, geometry, bodies, inputs, point, normal, work):
     """Place the facet of contact ``c`` in the tangent plane and the ball ``show`` [m] into it, so
     that MuJoCo's contact is at ``point`` (3,).
@@ -166,7 +152,13 @@ def touch_facets(geometry, laws, bodies, inputs, felt):
             touching[i] = True
             out[PUSH], out[DRAG] = push, drag
             place, side = frames[i, index[c * ROW + SURFACE_FRAME]], index[c * ROW + SIDE]
-            outwards(at, n, v, place, side, out)
+            rotate(place[3:7], at, out[POINT : POINT + 3])
+            rotate(place[3:7], n, out[NORM : NORM + 3])
+            rotate(place[3:7], v, out[SLIP : SLIP + 3])
+            for j in range(3):
+                out[POINT + j] += place[j]
+                out[NORM + j] *= side
+                out[SLIP + j] *= side
             add_contact(push, drag, at, n, v, place, side, f, wrench[i])
             if push < 0.0:
                 add_contact(push, drag, at, n, v, place, side, f, pull[i])

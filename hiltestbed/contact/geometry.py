@@ -212,10 +212,16 @@ def meet(geometry, c, pose, twist, law, work, met):
         for j in range(3):
             end[j] += pose[j] - row[PLACE + j]
         rotate_back(attitude, end, end)
-    near = _beyond(row, start, end, ball) - radius
-    if near > ahead:
-        _apart(-near, c, met)
-        return
+    if row[BOUND] < math.inf:  # the bounding sphere's distance from the axis
+        away, half = 0.0, 0.0
+        for j in range(3):
+            away += (0.5 * (start[j] + end[j]) - row[CENTRE + j]) ** 2
+            if not ball:
+                half += (0.5 * (end[j] - start[j])) ** 2
+        near = math.sqrt(away) - row[BOUND] - math.sqrt(half) - radius
+        if near > ahead:
+            _apart(-near, c, met)
+            return
     turned = index[c * ROW + KIND] == TURNED
     if ball:
         if turned:  # passing a tree as well would double the cost
@@ -259,20 +265,6 @@ def _apart(bound, c, met):
     for j in range(3):
         met.point[c, j] = met.normal[c, j] = met.slip[c, j] = 0.0
     met.depth[c], met.rate[c] = bound, 0.0
-
-
-@njit(cache=True)
-def _beyond(row, start, end, ball):
-    """Lower bound of the axis's distance [m], from the bounding sphere; 0 or less: no bound."""
-    bound = row[BOUND]
-    if not bound < math.inf:
-        return 0.0
-    away, half = 0.0, 0.0
-    for j in range(3):
-        away += (0.5 * (start[j] + end[j]) - row[CENTRE + j]) ** 2
-        if not ball:
-            half += (0.5 * (end[j] - start[j])) ** 2
-    return math.sqrt(away) - bound - math.sqrt(half)
 
 
 @njit(cache=True)

@@ -161,13 +161,3 @@ def referred(pose, twist, lever, reference, position, velocity):
     velocity[2] = twist[2] + twist[3] * v[1] - twist[4] * v[0]
     quat_mul_conj(pose[3:7], reference, q)
     rotation_vector(q, position[3:6])
-
-
-@njit(cache=True)
-def add_moment(sign, position, wrench):
-    """Add to the torque of a ``wrench`` (6,) ``sign`` times the moment of its force at ``position``
-    (3,): -1 moves the reference point to ``position``, 1 moves it back.
-    """
-    wrench[3] += sign * (position[1] * wrench[2] - position[2] * wrench[1])
-    wrench[4] += sign * (position[2] * wrench[0] - position[0] * wrench[2])
-    wrench[5] += sign * (position[0] * wrench[1] - position[1] * wrench[0])

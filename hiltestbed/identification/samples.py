@@ -34,8 +34,8 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.geometry import ROW, SIDE, unmet
 from hiltestbed.contact.parameters import LEVER, PARAMETERS
 from hiltestbed.contact.wrench import meet_all
-from hiltestbed.frames import Array
-from hiltestbed.identification.held import HeldPlace, add_moment, referred, update_held
+from hiltestbed.frames import Array, add_moment
+from hiltestbed.identification.held import HeldPlace, referred, update_held
 from hiltestbed.sensor.chain import FILTERED, filtered, filters_of, high_pass, low_pass
 
 if TYPE_CHECKING:

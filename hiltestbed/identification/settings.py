@@ -5,14 +5,14 @@ one class per method.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.config.validation import Strictly
 from hiltestbed.frames import Array
-from hiltestbed.plugins import OneOf, Registry, placeholder
+from hiltestbed.plugins import OneOf, Registry, all_of, placeholder
 
 if TYPE_CHECKING:
     from hiltestbed.identification.held import HeldPlace
@@ -79,16 +79,6 @@ IDENTIFIERS: Registry[Identifier] = Registry(
     "identifier", Identifier, ("hiltestbed.identification.methods",)
 )
 AnyIdentifier = Annotated[Identifier, OneOf(IDENTIFIERS)]
-Own = TypeVar("Own", bound=Identifier)
-
-
-def identifier_of(scenarios: Sequence[ScenarioLike], method: type[Own]) -> list[Own]:
-    """``identification`` of each, all of class ``method``. Raises TypeError for another."""
-    sections = [s.identification for s in scenarios]
-    other = next((s for s in sections if not isinstance(s, method)), None)
-    if other is not None:
-        raise TypeError(f"settings of {method.__name__} expected (got {type(other).__name__})")
-    return sections  # type: ignore[return-value]
 
 
 class ContactIdentifier(Identifier):
@@ -98,7 +88,8 @@ class ContactIdentifier(Identifier):
     def start(cls, scenarios: Sequence[ScenarioLike]) -> Identification | None:
         from hiltestbed.identification.samples import SampleParameters
 
-        return cls.estimator(identifier_of(scenarios, cls), SampleParameters.of(scenarios))
+        own = all_of(cls, [s.identification for s in scenarios])
+        return cls.estimator(own, SampleParameters.of(scenarios))
 
     @classmethod
     def estimator(cls, own: Sequence[Self], given: SampleParameters) -> Identification | None:

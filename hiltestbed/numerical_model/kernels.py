@@ -14,6 +14,7 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import (
+    add_moment,
     cross,
     pose_between,
     quat_exp,
@@ -303,20 +304,14 @@ def wrench_at_A(wrench, position, out):
     """``out``: a wrench given at P's origin, referred to A's origin; ``position`` (3,) of A in P.
     ``out`` may be ``wrench``.
     """
-    fx, fy, fz = wrench[0], wrench[1], wrench[2]
-    x, y, z = position[0], position[1], position[2]
-    out[3] = wrench[3] - (y * fz - z * fy)
-    out[4] = wrench[4] - (z * fx - x * fz)
-    out[5] = wrench[5] - (x * fy - y * fx)
-    out[0], out[1], out[2] = fx, fy, fz
+    for j in range(6):
+        out[j] = wrench[j]
+    add_moment(-1.0, position, out)
 
 
 @njit(cache=True)
 def wrench_at_P(wrench, position, out):
     """The inverse of :func:`wrench_at_A`."""
-    fx, fy, fz = wrench[0], wrench[1], wrench[2]
-    x, y, z = position[0], position[1], position[2]
-    out[3] = wrench[3] + (y * fz - z * fy)
-    out[4] = wrench[4] + (z * fx - x * fz)
-    out[5] = wrench[5] + (x * fy - y * fx)
-    out[0], out[1], out[2] = fx, fy, fz
+    for j in range(6):
+        out[j] = wrench[j]
+    add_moment(1.0, position, out)

@@ -76,7 +76,6 @@ class PolynomialBlock:
             dtype=float,
         )
         self._history = History(6, ticks * highest)
-        self._late = np.zeros((n, 6))
         self.output = np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
@@ -84,9 +83,7 @@ class PolynomialBlock:
         self._history.remember(measurement.wrench)
         self.output[:] = 0.0
         for i in range(self._weights.shape[1]):
-            self.output += self._weights[:, i, None] * self._history.before(
-                i * self._ticks, self._late
-            )
+            self.output += self._weights[:, i, None] * self._history.before(i * self._ticks)
         return self.output
 
 

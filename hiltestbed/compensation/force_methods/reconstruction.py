@@ -34,8 +34,8 @@ from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input
 from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.config.validation import NotNegative, Positive
-from hiltestbed.frames import Array
-from hiltestbed.identification.held import UNTURNED, add_moment, referred
+from hiltestbed.frames import Array, add_moment
+from hiltestbed.identification.held import UNTURNED, referred
 from hiltestbed.plugins import register
 
 
@@ -96,28 +96,18 @@ class ReconstructionBlock:
         """
         n = len(ticks)
         self._lead, self._ticks, self._captured = lead, ticks, captured
-        self._states = History(12, ticks)
-        self._state, self._late = np.zeros((n, 12)), np.zeros((n, 12))
-        self._at_A = np.zeros((n, 3))
-        self.output = np.zeros((n, 6))
+        self._states, self._state = History(12, ticks), np.zeros((n, 12))
+        self._at_A, self.output = np.zeros((n, 3)), np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
         """``(n, 6)`` the reconstructed wrench; an axis without an estimate passes the lead. After
         capture M acts about the held pose.
         """
-        led = self._lead.compensate(measurement)
-        observe(measurement.pose, measurement.twist, self._at_A, UNTURNED, self._state)
+        m, led = measurement, self._lead.compensate(measurement)
+        observe(m.pose, m.twist, self._at_A, UNTURNED, self._state)
         self._states.remember(self._state)
-        self._states.before(self._ticks, self._late)
-        _reconstruct(
-            measurement.wrench,
-            led,
-            self._state,
-            self._late,
-            measurement.stiffness,
-            measurement.damping,
-            self.output,
-        )
+        late = self._states.before(self._ticks)
+        _reconstruct(m.wrench, led, self._state, late, m.stiffness, m.damping, self.output)
         if self._captured is not None:
             self._captured.take_over(measurement, self.output)
         return self.output
@@ -133,19 +123,14 @@ class SmithPredictorBlock:
         n, (self._stiffness, self._damping) = len(ticks), spring
         self._ticks, self._lead = ticks, lead
         self._model = History(6, ticks)
-        self._now, self._late = np.zeros((n, 6)), np.zeros((n, 6))
-        self._rest = Measurement(
-            self._late, self._late, self._late, self._late, self._late, np.zeros(n, dtype=bool)
-        )
-        self.output = np.zeros((n, 6))
+        self._now, self._rest, self.output = np.zeros((3, n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
         """``(n, 6)`` the model's force now, plus the measured less the model's one delay ago."""
         _spring(measurement.pose, measurement.twist, self._stiffness, self._damping, self._now)
         self._model.remember(self._now)
-        self._model.before(self._ticks, self._late)
-        np.subtract(measurement.wrench, self._late, out=self._late)
-        rest = self._late if self._lead is None else self._lead.compensate(self._rest)
+        np.subtract(measurement.wrench, self._model.before(self._ticks), out=self._rest)
+        rest = self._rest if self._lead is None else self._lead.lead_wrench(self._rest)
         np.add(self._now, rest, out=self.output)
         return self.output
 
@@ -191,18 +176,16 @@ class CapturedContact:
         n = len(delay)
         self._lead = PhaseLeadBlock(rate, [(d + LAG, LAG) for d in delay])
         self._ticks = delay * rate
-        self._states = History(12, self._ticks)
-        self._state, self._late = np.zeros((n, 12)), np.zeros((n, 12))
+        self._states, self._state = History(12, self._ticks), np.zeros((n, 12))
 
     def take_over(self, measurement: Measurement, wrench: Array) -> None:
         """Replace the rows of ``wrench`` ``(n, 6)`` of the captured runs; call at every tick."""
-        led = self._lead.compensate(measurement)
-        m = measurement
+        m, led = measurement, self._lead.compensate(measurement)
         observe(m.pose, m.twist, m.lever, UNTURNED, self._state)
         self._states.remember(self._state)
-        self._states.before(self._ticks, self._late)
+        late = self._states.before(self._ticks)
         _reconstruct_held(
-            m.captured, m.wrench, led, self._state, self._late, m.stiffness, m.damping, wrench
+            m.captured, m.wrench, led, self._state, late, m.stiffness, m.damping, wrench
         )
 
 

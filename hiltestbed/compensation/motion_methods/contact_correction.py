@@ -18,8 +18,7 @@ import numpy as np
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, MotionMethod
 from hiltestbed.compiled.jit import njit
-from hiltestbed.frames import Array, rotate, twist_between
-from hiltestbed.identification.held import add_moment
+from hiltestbed.frames import Array, add_moment, rotate, twist_between
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.plugins import register
 
