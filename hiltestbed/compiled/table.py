@@ -13,7 +13,7 @@ from numba.np.arrayobj import make_array, populate_array
 
 from hiltestbed.compiled.jit import njit
 
-WORD = 8  # [bytes] of an entry of the table
+WORD = np.dtype(np.int64).itemsize  # [bytes] of an entry of the table
 
 # by kernel and types of its arguments: one entry per combination of types, not per block
 _calls: dict[tuple[Any, ...], Any] = {}

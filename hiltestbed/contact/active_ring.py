@@ -175,10 +175,10 @@ class ActiveRing(Strictly):
 
     @model_validator(mode="after")
     def _possible(self) -> ActiveRing:
-        refuse([*self._of_the_legs(), *self._active_laws()])
+        refuse(list(self._problems()))
         return self
 
-    def _of_the_legs(self) -> Iterator[Problem]:
+    def _problems(self) -> Iterator[Problem]:
         legs = self.legs
         rest = legs.lengths()
         if (short := float(rest.min())) <= legs.stroke:
@@ -199,9 +199,7 @@ class ActiveRing(Strictly):
                 f"shortens a leg by {way:.3g} m, its stroke is {legs.stroke:.3g} m; take a longer "
                 f"stroke, or a smaller depth",
             )
-
-    def _active_laws(self) -> Iterator[Problem]:
-        """A lag 1/w of the force takes stiffness/w from the damping at low frequencies."""
+        # a lag 1/w of the force takes stiffness/w from the damping at low frequencies
         lag = 1.0 / (2.0 * math.pi * self.legs.bandwidth)
         for name, law in zip(LAWS, self.laws, strict=True):
             for j, (k, c) in enumerate(zip(law.stiffness, law.damping, strict=True)):

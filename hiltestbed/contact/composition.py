@@ -29,7 +29,7 @@ from hiltestbed.contact.geometry import ACTIVE as A
 from hiltestbed.contact.geometry import FRAMES
 from hiltestbed.contact.geometry import PASSIVE as S
 from hiltestbed.contact.parameters import DAMPING, STIFFNESS, acting_contacts
-from hiltestbed.contact.sides import Pair, Sides, sides_of
+from hiltestbed.contact.sides import Sides, sides_of
 from hiltestbed.contact.wrench import LATCH_RADIUS
 from hiltestbed.effects.table import by_link
 from hiltestbed.frames import Array, quat_to_mujoco
@@ -86,11 +86,11 @@ class Structure:
     """
 
     shape: Hashable
-    mounted: bool
-    constant: bool
-    rubs: bool
-    latched: bool
     mechanism: Mechanism = field(compare=False)
+    mounted: bool = False
+    constant: bool = True
+    rubs: bool = False
+    latched: bool = False
     touches: bool = True
     held: bool = False
 
@@ -157,27 +157,12 @@ def structure_of(mechanism: Mechanism, effects: Iterable[Effect]) -> Structure:
         not (acting or rubs or mounted or latched or mechanism.phases())
         and sides_of(mechanism).exact
     )
-    return Structure(mechanism.shape(), mounted, constant, rubs, latched, mechanism)
+    return Structure(mechanism.shape(), mechanism, mounted, constant, rubs, latched)
 
 
 def drawn(mechanism: Mechanism) -> Structure:
     """A mechanism on a rigid mount without contacts, for drawing or weighing."""
-    return Structure(
-        mechanism.shape(),
-        mounted=False,
-        constant=True,
-        rubs=False,
-        latched=False,
-        mechanism=mechanism,
-        touches=False,
-    )
-
-
-def add_active(
-    spec: mujoco.MjSpec, structure: Structure, body: mujoco.MjsBody, plane: Array, height: Array
-) -> None:
-    """Attach the active side to ``body``, A at ``plane`` + ``height`` (3,) [m], axes alike."""
-    add_side(spec, structure.mechanism, ACTIVE, body, plane, height)
+    return Structure(mechanism.shape(), mechanism, touches=False)
 
 
 def add_passive(spec: mujoco.MjSpec, structure: Structure, carrier: mujoco.MjsBody) -> None:
@@ -214,11 +199,19 @@ def add_contact(spec: mujoco.MjSpec, structure: Structure) -> None:
         for k, pair in enumerate((*sides.facets, *sides.native)):
             _pair(spec, f"native_{k}", ACTIVE + pair.active, PASSIVE + pair.passive, rubs=False)
     else:
-        for k in range(len(sides.facets)):
-            _facet(spec, k, sides, structure.rubs)
-        for k, pair in enumerate(sides.native):
-            _native(spec, k, pair, structure.rubs)
-    _latches(spec, structure)
+        _add_facets(spec, sides, structure.rubs)
+        _add_native(spec, sides, structure.rubs)
+    for closure in closures_of(structure):  # none is active
+        active, passive = (body_of(spec, sides, frame) for frame in closure.frames)
+        spec.add_equality(
+            name=closure.name,
+            type=mujoco.mjtEq.mjEQ_WELD if closure.turns else mujoco.mjtEq.mjEQ_CONNECT,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1=passive,
+            name2=active,
+            active=False,
+            solimp=CONTACT_SOLIMP,
+        )
 
 
 def add_side(
@@ -256,29 +249,9 @@ def weigh_contact(model: mujoco.MjModel, carrier: str, held: bool = False) -> No
     ``held``: parts that move on the carrier are kept fixed.
     """
     fixed, parts = carried_by(model, carrier)
-    _weigh_parts(model, parts, held)
     model.body_invweight0[fixed] = INVERSE_WEIGHT
-
-
-def carried_by(model: mujoco.MjModel, carrier: str) -> tuple[list[int], list[int]]:
-    """Numbers of the bodies fixed to the ``carrier``, with itself, and of those moving on it."""
-    body = model.body(carrier).id
-    fixed, parts = [body], []
-    for other in range(body + 1, model.nbody):
-        if model.body_parentid[other] in parts:
-            parts.append(other)
-        elif model.body_parentid[other] in fixed:
-            (fixed if model.body_weldid[other] == model.body_weldid[body] else parts).append(other)
-    return fixed, parts
-
-
-def _weigh_parts(model: mujoco.MjModel, parts: list[int], held: bool) -> None:
-    """Set the inverse weights of the ``parts`` (for friction, limits and contacts) as if their
-    carrier were fixed; bodies that are welded together get the same.
-
-    MuJoCo's own inverse weights include the joints of the rig, which would make a sticking joint's
-    friction creep.
-    """
+    # The parts have weights (for friction, limits and contacts) as if their carrier were fixed;
+    # MuJoCo's own include the joints of the rig, which would make a sticking joint's friction creep
     dofs = np.flatnonzero(np.isin(model.dof_bodyid, parts))
     if not dofs.size:
         return
@@ -299,6 +272,18 @@ def _weigh_parts(model: mujoco.MjModel, parts: list[int], held: bool) -> None:
         _put(model.body_invweight0, body, np.where(moved > mujoco.mjMINVAL, moved, INVERSE_WEIGHT))
     if held:
         model.dof_armature[dofs] = IMMOVABLE
+
+
+def carried_by(model: mujoco.MjModel, carrier: str) -> tuple[list[int], list[int]]:
+    """Numbers of the bodies fixed to the ``carrier``, with itself, and of those moving on it."""
+    body = model.body(carrier).id
+    fixed, parts = [body], []
+    for other in range(body + 1, model.nbody):
+        if model.body_parentid[other] in parts:
+            parts.append(other)
+        elif model.body_parentid[other] in fixed:
+            (fixed if model.body_weldid[other] == model.body_weldid[body] else parts).append(other)
+    return fixed, parts
 
 
 def _put(weights: Array, at: NDArray[np.int_] | int, value: Array | float) -> None:
@@ -344,50 +329,35 @@ def body_of(spec: mujoco.MjSpec, sides: Sides, frame: int) -> str:
     return PREFIXES[port] + body
 
 
-def _facet(spec: mujoco.MjSpec, k: int, sides: Sides, rubs: bool) -> None:
-    """Add a box to the body that carries the frame of the surface, and to that of the round a
-    ball, which for a rod is placed at its nearest point.
+def _add_facets(spec: mujoco.MjSpec, sides: Sides, rubs: bool) -> None:
+    """For each facet a box on the body that carries the frame of the surface, and a ball on that of
+    the round; of a rod it is placed at its nearest point.
     """
-    rounds, surfaces, radius = sides.candidate(k)
     box, ball = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
-    spec.body(body_of(spec, sides, surfaces)).add_geom(
-        name=f"facet_{k}", type=box, size=FACET, pos=[0.0, 0.0, AWAY], quat=_UNALIGNED, **_UNSEEN
-    )
-    spec.body(body_of(spec, sides, rounds)).add_geom(
-        name=f"ball_{k}", type=ball, size=[radius, 0.0, 0.0], pos=PROXY, **_UNSEEN
-    )
-    _pair(spec, f"facet_{k}", f"ball_{k}", f"facet_{k}", rubs)
+    away = {"size": FACET, "pos": [0.0, 0.0, AWAY], "quat": _UNALIGNED}
+    for k in range(len(sides.facets)):
+        rounds, surfaces, radius = sides.candidate(k)
+        surface, body = (spec.body(body_of(spec, sides, f)) for f in (surfaces, rounds))
+        surface.add_geom(name=f"facet_{k}", type=box, **away, **_UNSEEN)
+        body.add_geom(name=f"ball_{k}", type=ball, size=[radius, 0.0, 0.0], pos=PROXY, **_UNSEEN)
+        _pair(spec, f"facet_{k}", f"ball_{k}", f"facet_{k}", rubs)
 
 
-def _native(spec: mujoco.MjSpec, k: int, pair: Pair, rubs: bool) -> None:
-    """Add a pair for MuJoCo's own collision detection, and a sensor of its deepest point."""
-    active, passive = ACTIVE + pair.active, PASSIVE + pair.passive
-    _pair(spec, f"native_{k}", active, passive, rubs)
+def _add_native(spec: mujoco.MjSpec, sides: Sides, rubs: bool) -> None:
+    """Pairs for MuJoCo's own collision detection, each with a sensor of its deepest point."""
     geom = mujoco.mjtObj.mjOBJ_GEOM
-    sensor = spec.add_sensor(
-        name=f"native_{k}",
-        type=mujoco.mjtSensor.mjSENS_CONTACT,
-        objtype=geom,
-        objname=active,
-        reftype=geom,
-        refname=passive,
-    )
-    sensor.intprm = [sum(1 << int(part) for part in _READ), DEEPEST, 1]
-
-
-def _latches(spec: mujoco.MjSpec, structure: Structure) -> None:
-    """Add an equality between the bodies that carry the sites of each closure; none is active."""
-    for closure in closures_of(structure):
-        active, passive = (body_of(spec, structure.sides, frame) for frame in closure.frames)
-        spec.add_equality(
-            name=closure.name,
-            type=mujoco.mjtEq.mjEQ_WELD if closure.turns else mujoco.mjtEq.mjEQ_CONNECT,
-            objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1=passive,
-            name2=active,
-            active=False,
-            solimp=CONTACT_SOLIMP,
+    for k, pair in enumerate(sides.native):
+        active, passive = ACTIVE + pair.active, PASSIVE + pair.passive
+        _pair(spec, f"native_{k}", active, passive, rubs)
+        sensor = spec.add_sensor(
+            name=f"native_{k}",
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=geom,
+            objname=active,
+            reftype=geom,
+            refname=passive,
         )
+        sensor.intprm = [sum(1 << int(part) for part in _READ), DEEPEST, 1]
 
 
 def set_linear(batch: Batch, laws: Array) -> None:

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.surfaces.mesh import Tree
+from hiltestbed.contact.surfaces.mesh import Tree, mesh_beyond
 from hiltestbed.contact.surfaces.profile import COLUMNS, TURNED, beyond, profile_distance
 from hiltestbed.contact.surfaces.surface import (
+    MESH,
     Surface,
     bounds,
-    segment_beyond,
     segment_distance,
     signed_distance,
 )
@@ -231,10 +231,13 @@ def meet(geometry, c, pose, twist, law, work, met):
         for j in range(3):
             nearest[j] = start[j]
     else:
+        # a bound at a fraction of the cost; -inf if undecided
+        distance = -math.inf
         if turned:
             distance = beyond(_profile(index, values, c), start, end, radius + ahead)
-        else:
-            distance = segment_beyond(_surface(index, values, c), start, end, radius + ahead)
+        elif index[c * ROW + KIND] == MESH:
+            tree = _surface(index, values, c).tree
+            distance = mesh_beyond(tree, start, end, radius + ahead)
         if distance < radius + ahead:
             distance = segment_distance(
                 _surface(index, values, c), start, end, radius + ahead, free, nearest

@@ -134,9 +134,15 @@ class RingLegs:
             [next(e for e in rows[t] if m.ten_J_colind[e] == d) for d in dofs] for t in tendons
         ]
         at = np.array([m.jnt_qposadr[self.joints], dofs, legs, m.actuator_actadr[legs], tendons])
+        guides = np.zeros((len(LAWS), 2, 6))
+        for guide, law in zip(guides, ring.laws, strict=True):
+            if isinstance(law, AlignmentLaw):
+                guide[1, :3], guide[1, 3:] = law.speed, math.radians(law.turn_rate_deg)
+            if isinstance(law, RetractionLaw):
+                guide[0, AXIAL] = -law.depth
         self._numbers = _LegNumbers(
             np.array([[law.stiffness, law.damping, law.mass] for law in ring.laws]),
-            np.array([_guide(law) for law in ring.laws]),
+            guides,
             np.array([getattr(law, "timeout", math.inf) for law in ring.laws]),
             ring.legs.lengths(),
             np.array([ring.legs.force, ring.legs.stroke]),
@@ -195,16 +201,6 @@ class RingLegs:
                 if time >= 0.0
             ],
         }
-
-
-def _guide(law: object) -> list[list[float]]:
-    """Goal of the reference in a law, and the highest rate at which it goes there, (2, 6)."""
-    goal, rates = [0.0] * 6, [0.0] * 6
-    if isinstance(law, AlignmentLaw):
-        rates = [law.speed] * 3 + [math.radians(law.turn_rate_deg)] * 3
-    if isinstance(law, RetractionLaw):
-        goal[AXIAL] = -law.depth
-    return [goal, rates]
 
 
 @njit(cache=True)

@@ -56,10 +56,6 @@ class Side:
         self.findings: dict[str, list[MeshFault]] = {}
         self._surfaces: dict[int, Surface] = {}
 
-    def pose(self) -> Array:
-        """``(7,)`` of the port in the file's frame."""
-        return np.concatenate([self.origin, quaternion(self.axes)])
-
     def releases(self) -> bool:
         """Whether it has actuators, sprung tendons, or joints whose springs start loaded."""
         m = self.model
@@ -72,9 +68,6 @@ class Side:
 
     def name(self, geom: int) -> str:
         return self.model.geom(geom).name
-
-    def names(self) -> list[str]:
-        return [self.name(g) for g in range(self.model.ngeom)]
 
     def type(self, geom: int) -> int:
         return int(self.model.geom_type[geom])

@@ -185,7 +185,7 @@ def _sides(
         tuple(frames),
         placed,
         exact and not moving,
-        np.array([active.pose(), passive.pose()]),
+        np.array([[*s.origin, *quaternion(s.axes)] for s in (active, passive)]),
         moving,
         active.releases() or passive.releases(),
         tuple((name, f) for name, found in findings for f in found),
@@ -220,7 +220,7 @@ def _meeting(active: Side, passive: Side, rule: Rule) -> list[tuple[int, int]]:
         if pattern is None:
             chosen.append(side.touching())
         else:
-            names = side.names()
+            names = [side.name(g) for g in range(side.model.ngeom)]
             if not matching(pattern, names):
                 raise InputError(
                     f"{side.file}: no geom is called {pattern!r}; its geoms are "
@@ -230,11 +230,9 @@ def _meeting(active: Side, passive: Side, rule: Rule) -> list[tuple[int, int]]:
     pairs = [(a, p) for a in chosen[0] for p in chosen[1]]
     if rule.reach is None:
         return pairs
-    return [(a, p) for a, p in pairs if _apart(active.ends(a), passive.ends(p)) < rule.reach]
-
-
-def _apart(a: Array, p: Array) -> float:
-    return float(np.linalg.norm(a[:, None] - p[None], axis=2).min())
+    apart = [active.ends(a)[:, None] - passive.ends(p)[None] for a, p in pairs]
+    lateral = [np.linalg.norm(way, axis=2).min() for way in apart]
+    return [pair for pair, away in zip(pairs, lateral, strict=True) if away < rule.reach]
 
 
 def _nothing_touches(active: Side, passive: Side, rules: Sequence[Rule]) -> str:

@@ -33,8 +33,6 @@ from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state, effective_mass, mobility
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from hiltestbed.contact.settings import Mechanism
     from hiltestbed.effects.base import Effect
     from hiltestbed.scenario.spacecraft import Approach, Spacecraft
@@ -133,11 +131,10 @@ def first_touch(impact: Impact) -> Touch | None:
     if impact.mechanism.captured or _bare(impact.sides):
         return None
     meeting, pose = _meeting(impact), impact.start[:7]
-    deepest = _deepest(meeting, pose)
-    reach = _reached(impact.approach, deepest)
-    if reach is None:
+    if not _reached(impact.approach, meeting, pose):
         return None
-    deepest(reach + TOGETHER)
+    pose[2] += TOGETHER
+    meeting.deepest(pose)
     pair = _of_facets(impact, meeting) if isinstance(meeting, Meeting) else meeting.pair(pose[:3])
     if pair is None or not pair[0][2, 2] > 0.0:
         return None
@@ -157,7 +154,7 @@ def nothing_met(impact: Impact) -> bool:
     """Whether nothing touches on the way of :func:`first_touch`."""
     if impact.mechanism.captured or _bare(impact.sides):
         return False
-    return _reached(impact.approach, _deepest(_meeting(impact), impact.start[:7])) is None
+    return not _reached(impact.approach, _meeting(impact), impact.start[:7])
 
 
 def _bare(sides: Sides) -> bool:
@@ -170,28 +167,25 @@ def _meeting(impact: Impact) -> Meeting | _Parts:
     return Meeting(sides) if sides.rigid else _Parts(impact.mechanism, impact.effects)
 
 
-def _deepest(meeting: Meeting | _Parts, pose: Array) -> Callable[[float], float]:
-    """The largest penetration [m] with A at z [m] of ``pose`` (7,), in which z is written."""
+def _reached(approach: Approach, meeting: Meeting | _Parts, pose: Array) -> bool:
+    """Whether there is a first touch on the way along the insertion; z of ``pose`` (7,) is then
+    there.
+    """
 
-    def deepest(z: float) -> float:
+    def touches(z: float) -> bool:
         pose[2] = z
-        return meeting.deepest(pose)
+        return meeting.deepest(pose) > 0.0
 
-    return deepest
-
-
-def _reached(approach: Approach, deepest: Callable[[float], float]) -> float | None:
-    """The z [m] of the first touch on the way along the insertion."""
-    start, end = -abs(approach.gap), abs(approach.gap) + BEYOND
-    stops = np.linspace(start, end, STOPS)
-    met = next((k for k, z in enumerate(stops) if deepest(float(z)) > 0.0), 0)
+    stops = np.linspace(-abs(approach.gap), abs(approach.gap) + BEYOND, STOPS)
+    met = next((k for k, z in enumerate(stops) if touches(float(z))), 0)
     if met == 0:
-        return None
+        return False
     low, high = float(stops[met - 1]), float(stops[met])
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if deepest(middle) > 0.0 else (middle, high)
-    return high
+        low, high = (low, middle) if touches(middle) else (middle, high)
+    pose[2] = high
+    return True
 
 
 def _of_facets(impact: Impact, meeting: Meeting) -> tuple[Array, Array]:

@@ -7,30 +7,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hiltestbed.config.validation import Strictly
 from hiltestbed.frames import Array
 from hiltestbed.plugins import OneOf, Registry, all_of, placeholder
 
 if TYPE_CHECKING:
-    from hiltestbed.identification.held import HeldPlace
-    from hiltestbed.identification.samples import SampleParameters
+    from hiltestbed.identification.samples import ContactSamples, SampleParameters
     from hiltestbed.scenario.like import ScenarioLike
-
-
-class SampleSource(Protocol):
-    """Where an estimator takes its contact samples from: what the loop tells it.
-
-    Attributes:
-        captured: ``(n,)`` whether the mechanism is captured. steps: ``(n,)`` capture phases begun.
-        held: the latch's reference point.
-    """
-
-    captured: NDArray[np.bool_]
-    steps: NDArray[np.int64]
-    held: HeldPlace
 
 
 class Identification(Protocol):
@@ -47,7 +30,7 @@ class Identification(Protocol):
     samples: Array
 
     @property
-    def source(self) -> SampleSource: ...
+    def source(self) -> ContactSamples: ...
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
         """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""

@@ -20,7 +20,7 @@ from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.parameters import DynamicsParameters
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 Body = Literal["chaser", "target"]
 Offset = Annotated[
@@ -153,7 +153,7 @@ class DynamicsAppendage(DynamicsEffect):
             (self.mass_ratio, w * w, 2.0 * self.damping_ratio * w, *self.place)
         )
 
-    def unfit(self, scenario: Scenario) -> str | None:
+    def unfit(self, scenario: ScenarioLike) -> str | None:
         if not any(self.place):
             return None
         body = scenario.spacecraft.chaser if self.body == "chaser" else scenario.spacecraft.target

@@ -26,7 +26,7 @@ from hiltestbed.frames import (
 
 CHASER, TARGET = 0, 1
 WORK = 9  # scratch rows of 7 that the kernels of one run need
-SCRATCH = 12  # scratch rows of 7 that :func:`step` needs
+SCRATCH = WORK + 3  # scratch rows of 7 that :func:`step` needs
 
 
 @njit(cache=True)
@@ -279,7 +279,8 @@ def mobility(q, port, position, mass, inverse, work, out):
 @njit(cache=True)
 def solve(matrix, x, factor):
     """``x`` (n,) becomes the solution for the right side that it is; ``matrix`` (n, n) positive
-    definite, its lower half; ``factor`` (n, n): work space, which may be ``matrix``.
+    definite, its lower half, or ``x`` is NaN; ``factor`` (n, n): becomes the lower Cholesky
+    factor, may be ``matrix``.
     """
     n = x.shape[0]
     for i in range(n):
@@ -287,7 +288,7 @@ def solve(matrix, x, factor):
             s = matrix[i, j]
             for k in range(j):
                 s -= factor[i, k] * factor[j, k]
-            factor[i, j] = s**0.5 if i == j else s / factor[j, j]
+            factor[i, j] = s / factor[j, j] if i != j else s**0.5 if s > 0.0 else np.nan
         s = x[i]
         for k in range(i):
             s -= factor[i, k] * x[k]

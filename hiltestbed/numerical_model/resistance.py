@@ -35,7 +35,7 @@ BODY, AXIS, OFFSET, VISCOUS, VISCOUS_BACK, COULOMB, COULOMB_BACK, RISE, STRIBECK
 )
 # value of BODY, besides CHASER and TARGET: the motion of A relative to P, equal and opposite on
 # both bodies
-BETWEEN = 2
+BETWEEN = 1 + TARGET
 
 
 @njit(cache=True)

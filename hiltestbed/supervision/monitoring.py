@@ -25,12 +25,12 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
+from hiltestbed.contact.active_ring import AXIAL
 from hiltestbed.frames import Array
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.identification.samples import ContactSamples, SampleParameters
 from hiltestbed.scenario.monitoring import ContactEstimate, Monitoring
 
-AXIAL = 2
 CONFIRM = 5  # successive readings
 SEAT_SIGMA = 5.0
 

@@ -28,10 +28,10 @@ from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, MotionMethod
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import Positive
+from hiltestbed.contact.active_ring import AXIAL
 from hiltestbed.frames import Array
 from hiltestbed.plugins import register
 
-AXIAL = 2
 AIM = 0.95  # of the limit: the margin covers the error of the identified k
 
 

@@ -46,7 +46,7 @@ from hiltestbed.sensor.chain import FILTERED, filtered
 # times [ticks]. ONSET: the step of the physics at which the force sets in.
 STIFFNESS, DAMPING, DEEPENING, STOP, POINT, DELAY, RATE, LAG, KNOT, UNKNOWNS = range(10)
 ONSET, DIGITAL, SCATTER, CHI, COST, SPREAD, SOLUTION = range(UNKNOWNS, UNKNOWNS + 7)
-LINEAR = 4
+LINEAR = POINT
 GROWS = (DELAY, POINT, LAG, DEEPENING, STOP, RATE)  # unknowns beyond k and c
 CERTAIN = 3.84  # rise of chi-square at the ends of a 95 % interval of one parameter
 ENOUGH = 3.0  # standard deviations of a right model's chi-square: nothing is left to be explained
@@ -326,40 +326,32 @@ def _bounded(m, p, deepest):
 
 
 @njit(cache=True)
-def _jacobian(m, p, used, rows, other, jacobian):
-    """Derivatives of the reading by the unknowns in use, into ``jacobian`` (n, UNKNOWNS)."""
-    step = int(p[ONSET])
-    travel = abs(m.s[step] - m.s[step - 1]) + 1e-12
-    near = np.empty(SOLUTION)
+def _normal(m, p, used, work, matrix, gradient):
+    """Normal equations (UNKNOWNS, UNKNOWNS) of the unknowns in use, without the priors, in units of
+    f sigma^2; the columns and the Jacobian of the reading are left in ``work``.
+    """
+    rows, other, jacobian = work
+    step, n, near = int(p[ONSET]), m.y.shape[0], np.empty(SOLUTION)
     columns(m, p, used, rows)
-    n = m.y.shape[0]
     for c in range(UNKNOWNS):
-        if not used[c]:
-            continue
-        if c < LINEAR:
+        if used[c] and c < LINEAR:
             copied(rows[:, c], jacobian[:, c])
-            continue
-        copied(p, near)
-        d = RESOLUTION
-        if c in (POINT, KNOT):
-            d *= travel
-        elif c == RATE:
-            d /= m.first + n - m.felt
-        near[c] += d
-        columns(m, near, used, other)
-        for i in range(n):
-            change = 0.0
-            for e in range(LINEAR):
-                if used[e]:
-                    change += p[e] * (other[i, e] - rows[i, e])
-            jacobian[i, c] = change / d
-
-
-@njit(cache=True)
-def _normal(m, p, used, rows, jacobian, matrix, gradient):
-    """Normal equations (UNKNOWNS, UNKNOWNS), without the priors, in units of f sigma^2."""
-    n = m.y.shape[0]
-    scale = 1.0 / (m.variance * max(1.0, p[CHI] / m.y.shape[0]))
+        elif used[c]:
+            copied(p, near)
+            d = RESOLUTION
+            if c in (POINT, KNOT):
+                d *= abs(m.s[step] - m.s[step - 1]) + 1e-12
+            elif c == RATE:
+                d /= m.first + n - m.felt
+            near[c] += d
+            columns(m, near, used, other)
+            for i in range(n):
+                change = 0.0
+                for e in range(LINEAR):
+                    if used[e]:
+                        change += p[e] * (other[i, e] - rows[i, e])
+                jacobian[i, c] = change / d
+    scale = 1.0 / (m.variance * max(1.0, p[CHI] / n))
     matrix[:], gradient[:] = 0.0, 0.0
     for i in range(n):
         rest, weight = m.y[i], scale * m.weight[i]
@@ -372,9 +364,7 @@ def _normal(m, p, used, rows, jacobian, matrix, gradient):
                 for d in range(c + 1):
                     if used[d]:
                         matrix[c, d] += weight * jacobian[i, c] * jacobian[i, d]
-    for c in range(UNKNOWNS):
-        for d in range(c):
-            matrix[d, c] = matrix[c, d]
+                        matrix[d, c] = matrix[c, d]
 
 
 @njit(cache=True)
@@ -401,26 +391,9 @@ def _fix(p, used, matrix, right):
 
 
 @njit(cache=True)
-def _cholesky(a):
-    """Lower factor in place; False if not positive definite."""
-    for c in range(a.shape[0]):
-        for d in range(c + 1):
-            rest = a[c, d]
-            for e in range(d):
-                rest -= a[c, e] * a[d, e]
-            if c == d:
-                if rest <= 0.0:
-                    return False
-                a[c, c] = math.sqrt(rest)
-            else:
-                a[c, d] = rest / a[d, d]
-    return True
-
-
-@njit(cache=True)
 def _descend(m, p, used, work):
     """Levenberg-Marquardt from ``p``; returns -2 ln of likelihood times prior."""
-    rows, other, jacobian = work
+    rows = work[0]
     matrix, gradient = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     a, d = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     trial = np.empty(SOLUTION)
@@ -433,8 +406,7 @@ def _descend(m, p, used, work):
     fresh = True
     for _ in range(STEPS):
         if fresh:
-            _jacobian(m, p, used, rows, other, jacobian)
-            _normal(m, p, used, rows, jacobian, matrix, gradient)
+            _normal(m, p, used, work, matrix, gradient)
             _add_priors(m, p, used, matrix, gradient)
         copied(matrix, a)
         copied(gradient, d)
@@ -497,10 +469,8 @@ def _settle(m, p, used, work):
 @njit(cache=True)
 def _evidence(m, p, used, found, work):
     """-2 ln Z, into COST."""
-    rows, other, jacobian = work
-    matrix, gradient = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
-    _jacobian(m, p, used, rows, other, jacobian)
-    _normal(m, p, used, rows, jacobian, matrix, gradient)
+    rows, matrix, gradient = work[0], np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    _normal(m, p, used, work, matrix, gradient)
     peak = np.max(np.abs(m.y))
     scale = np.zeros(UNKNOWNS)
     for c in range(UNKNOWNS):
@@ -521,10 +491,10 @@ def _evidence(m, p, used, found, work):
             matrix[c, d] *= scale[c] * scale[d]
         matrix[c, c] += 1.0
     p[COST] = found + (math.log(2.0 * m.y.shape[0]) if p[SCATTER] > 0.0 else 0.0)
-    if _cholesky(matrix):
-        for c in range(UNKNOWNS):
-            p[COST] += 2.0 * math.log(matrix[c, c])
-    else:
+    solve(matrix, gradient, matrix)  # NaN unless it is positive definite
+    for c in range(UNKNOWNS):
+        p[COST] += 2.0 * math.log(matrix[c, c])
+    if math.isnan(p[COST]):
         p[COST] = np.inf
 
 
@@ -560,35 +530,24 @@ def _settled(m, p, used, work):
 def _begin(m, p, used, new, rows):
     """The best of some values of the unknown ``new``, into ``p``."""
     trial, parent, best = np.empty(SOLUTION), p.copy(), np.inf
-    if new == DELAY:
-        latest = m.felt - (parent[ONSET] - 1.0) / m.substeps
-        for q in range(4 * LATE + 1):
-            copied(parent, trial)
+    latest = m.felt - (parent[ONSET] - 1.0) / m.substeps
+    deepest = _deepest(m, parent) if new == STOP else 0.0
+    ways = 2 if used[DELAY] else 1
+    count = 4 * LATE + 1 if new == DELAY else LAGS * ways if new == LAG else KNOTS
+    for q in range(count if new in (DELAY, LAG, STOP) else 0):
+        copied(parent, trial)
+        if new == DELAY:
             trial[DELAY] = latest - 0.25 * q
-            best = _better(m, trial, used, rows, best, p)
-    elif new == LAG:
-        for q in range(LAGS):
-            for e in range(2 if used[DELAY] else 1):
-                copied(parent, trial)
-                trial[LAG] = 0.25 * 2.0**q
-                if e == 1:
-                    trial[DELAY] -= trial[LAG] - parent[LAG]
-                best = _better(m, trial, used, rows, best, p)
-    elif new == STOP:
-        deepest = _deepest(m, parent)
-        for q in range(KNOTS):
-            copied(parent, trial)
+        elif new == LAG:
+            trial[LAG] = 0.25 * 2.0 ** (q // ways)
+            if q % ways == 1:
+                trial[DELAY] -= trial[LAG] - parent[LAG]
+        else:
             trial[KNOT] = (SHALLOW + (DEEP - SHALLOW) * q / (KNOTS - 1)) * deepest
-            best = _better(m, trial, used, rows, best, p)
-
-
-@njit(cache=True)
-def _better(m, trial, used, rows, best, p):
-    """The smaller of ``best`` and the misfit of ``trial``, which then is copied into ``p``."""
-    found = misfit(m, trial, used, rows) if trial[DELAY] >= 1.0 else np.inf
-    if found < best:
-        copied(trial, p)
-    return min(found, best)
+        found = misfit(m, trial, used, rows) if trial[DELAY] >= 1.0 else np.inf
+        if found < best:
+            best = found
+            copied(trial, p)
 
 
 @njit(cache=True)
@@ -621,12 +580,10 @@ def _widen(m, p, used, work):
     worth an unknown: about ``p``, what the samples and its prior say of it together with all else,
     and by how much the best fit that has it is off.
     """
-    rows, other, jacobian = work
     matrix, step = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     joint = used.copy()
     joint[RATE] = True
-    _jacobian(m, p, joint, rows, other, jacobian)
-    _normal(m, p, joint, rows, jacobian, matrix, step)
+    _normal(m, p, joint, work, matrix, step)
     _add_priors(m, p, joint, matrix, step)
     _fix(p, joint, matrix, step)
     # the derivatives do not show the instant at which the force sets in, but the interval does
@@ -647,8 +604,7 @@ def _promised(m, p, used, new, work):
     ``used``, to first order: the score test (C. R. Rao, Proc. Camb. Phil. Soc. 44, 1948), less what
     the unknown costs. A fraction of what finding the new best fit takes.
     """
-    rows, other, jacobian = work
-    matrix, gradient = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    rows, matrix, gradient = work[0], np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     joint, near = used.copy(), p.copy()
     joint[new] = True
     knots = KNOTS if new == STOP else 1
@@ -657,8 +613,7 @@ def _promised(m, p, used, new, work):
     for q in range(knots):
         if new == STOP:
             near[KNOT] = (SHALLOW + (DEEP - SHALLOW) * q / (KNOTS - 1)) * deepest
-        _jacobian(m, near, joint, rows, other, jacobian)
-        _normal(m, near, joint, rows, jacobian, matrix, gradient)
+        _normal(m, near, joint, work, matrix, gradient)
         across = np.zeros(UNKNOWNS)
         for c in range(UNKNOWNS):
             if c >= LINEAR and used[c] and c != KNOT:
@@ -672,16 +627,12 @@ def _promised(m, p, used, new, work):
                 matrix[:, c] = 0.0
                 matrix[c, c] = 1.0
                 across[c] = gradient[c] = 0.0
-        if not _cholesky(matrix):
+        both = across.copy()
+        solve(matrix, both, matrix)
+        own -= across @ both
+        slope -= gradient @ both
+        if math.isnan(own):
             return np.inf
-        for c in range(UNKNOWNS):
-            for e in range(c):
-                across[c] -= matrix[c, e] * across[e]
-                gradient[c] -= matrix[c, e] * gradient[e]
-            across[c] /= matrix[c, c]
-            gradient[c] /= matrix[c, c]
-            own -= across[c] ** 2
-            slope -= across[c] * gradient[c]
         sd = peak / max(np.max(np.abs(rows[:, new])), 1e-300) if new < LINEAR else prior_sd(m, new)
         if own > 0.0:
             gain = slope**2 / (own + 1.0 / sd**2)

@@ -26,7 +26,7 @@ SEGMENT, ARC = 0.0, 1.0
 # the sweep, and +1 if the outward normal points away from the centre, else -1; the pseudo-normals
 # at both ends.
 KIND, A, B, U, V, SIZE, COS_HALF, SIDE, NORMAL_A, NORMAL_B = 0, 1, 3, 5, 7, 9, 10, 11, 12, 14
-COLUMNS = 16
+COLUMNS = NORMAL_B + 2
 TURNED = 100  # number of this kind of surface, distinct from MuJoCo's geom types
 SAMPLES = 12  # largest number of samples along a rod to show that it does not touch
 TOUCHING = 1e-13  # [m] distance below which the direction to a corner is undefined

@@ -207,14 +207,14 @@ class KalmanIdentifier(ContactIdentifier):
         noise, speed = np.zeros((2, n, 6))
         sigma = [[max(s.noise, 1e-6), max(s.torque_noise, 1e-7)] for s in given.sensors]
         floor = np.repeat(np.array(sigma) ** 2, 3, axis=1)
-        fit = SampleFit(given, _kalman, 4, wander, floor, state, covariance, noise, speed)
+        fit = SampleFit(given, _kalman, 4, (wander, floor), state, covariance, noise, speed)
         fit.stiffness_sd, fit.damping_sd = fit.found[2:]
         return fit
 
 
 @njit(cache=True)
-def _kalman(ready, sample, wander, floor, state, covariance, noise, speed, samples, found):
-    phi, gain = np.empty(3), np.empty(3)
+def _kalman(ready, sample, given, state, covariance, noise, speed, samples, found):
+    (wander, floor), phi, gain = given, np.empty(3), np.empty(3)
     for i in range(sample.shape[0]):
         if not ready[i]:
             continue
