@@ -242,9 +242,7 @@ class Loop:
 
 @njit(cache=True)
 def _keep(k, figures, contacts, row, lost):
-    """Update figures and contacts with tick ``k`` and write its ``row``, None without a trace;
-    returns whether a run is lost.
-    """
+    """Figures, contacts and ``row`` (None without a trace) of tick ``k``; whether a run is lost."""
     take_figures(k, *figures)
     take_contacts(k, *contacts)
     if row is not None:

@@ -254,9 +254,7 @@ def reference_fault(batch: Batch, i: int) -> str | None:
 
 
 def _identified(loop: Loop, i: int) -> dict[str, Any]:
-    """Per axis: identified stiffness and damping with their standard deviations (None without an
-    estimate, or of an estimator that gives none), and the true values if they are defined.
-    """
+    """Per axis: estimates and their sd, None without one, and true values where defined."""
     truth, estimate, identifiable = (
         _truth(loop, i),
         loop.identification,
@@ -280,9 +278,7 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
 
 
 def _force_delay(loop: Loop, i: int) -> dict[str, float] | None:
-    """The delay of the force [s] that the compensation was told, the one that it found, and half
-    the width of its interval, 0 where the told one stood; None of one that does not look.
-    """
+    """[s] nominal, estimated, half width of its interval; None if it is not estimated."""
     drive = loop.drive
     if not isinstance(drive, ResynchronisedDrive):
         return None
@@ -294,9 +290,7 @@ def _force_delay(loop: Loop, i: int) -> dict[str, float] | None:
 
 
 def _truth(loop: Loop, i: int) -> list[tuple[float, float] | None]:
-    """True stiffness and damping of each axis: from the mechanism's numbers or, once latched in
-    phases, from the model's Jacobians.
-    """
+    """True stiffness and damping of each axis; once latched in phases by the Jacobians."""
     held = loop.plant.held_pair(i)
     if held is None:
         return axis_truth(loop.scenarios[i].impact, bool(loop.plant.captured[i]))
@@ -304,9 +298,7 @@ def _truth(loop: Loop, i: int) -> list[tuple[float, float] | None]:
 
 
 def _identifiable_axes(loop: Loop, i: int) -> int:
-    """Number of axes with a stiffness: a ball joint rotates freely, and a fit on its rotations
-    would only give the arm of its force.
-    """
+    """Axes with a stiffness: a ball joint rotates freely."""
     phases = loop.plant.phases
     if phases is None:
         return len(AXES)
@@ -330,9 +322,7 @@ def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
 
 
 def _capture(loop: Loop, i: int) -> dict[str, Any]:
-    """The phases of a mechanism that has them, each with its beginning [s], or None; what the legs
-    of an active ring did.
-    """
+    """The beginning [s] of each phase, or None; what the legs of an active ring did."""
     phases, rate = loop.plant.phases, loop.scenarios[i].rate
     if phases is None:
         return {}
@@ -439,9 +429,8 @@ def _speed(scenario: Scenario) -> float:
 
 
 def _energy_reference(scenario: Scenario, figures: ContactFigures) -> float | None:
-    """Reference of the energy made by the rig [J]: the kinetic energy of the approach (at least
-    along z) or, for contacts that begin at rest, the energy of the spring at the peak force, F^2/(2
-    k). None if nothing touched.
+    """[J] kinetic energy of the approach or, of contacts that begin at rest, of the spring at the
+    peak force, F^2/(2 k); None if nothing touched.
     """
     if not figures.contact_duration:
         return None

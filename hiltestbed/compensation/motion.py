@@ -99,9 +99,7 @@ def _refer(twist, yielding, rate, feed, previous, rate_before, velocity, acceler
 
 @njit(cache=True)
 def _differentiate(twist, previous, rate, velocity, acceleration, jerk):
-    """The semi-implicit velocity is that at the middle of its tick: half a tick of acceleration
-    extrapolates it to the end.
-    """
+    """At the end of the tick: the semi-implicit velocity is that at its middle."""
     for i in range(twist.shape[0]):
         for j in range(6):
             change = rate * (twist[i, j] - previous[i, j])

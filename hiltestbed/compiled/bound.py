@@ -44,8 +44,8 @@ def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
     """
     from hiltestbed.compiled.table import tabled
 
-    call, table = tabled(kernel, given)
-    return Bound(call, table, given)
+    call, table, arrays = tabled(kernel, given)
+    return Bound(call, table, given, arrays)
 
 
 class Call:

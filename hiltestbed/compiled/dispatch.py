@@ -72,9 +72,7 @@ def _register(kind: type) -> None:
 
 
 def _by_fields(index_key: Callable[..., tuple]) -> Callable[..., tuple]:
-    """A kernel is also cached by the order of the fields of its named tuples: Numba compares their
-    classes and types only.
-    """
+    """Also by the order of the fields of named tuples: Numba compares classes and types only."""
 
     def key(signature: Any, codegen: Any) -> tuple:
         return (*index_key(signature, codegen), _fields(getattr(signature, "args", signature)))
@@ -91,9 +89,7 @@ def _fields(kinds: Iterable[Any]) -> tuple:
 
 
 def _readable(load_index: Callable[[], dict]) -> Callable[[], dict]:
-    """An index of cached kernels names the classes of their arguments: without one of them, which
-    an update renamed or moved, there is no kernel that could be taken.
-    """
+    """Without a class that an index names, renamed or moved by an update, no kernel is cached."""
 
     def load() -> dict:
         try:
@@ -137,9 +133,7 @@ def mark_of(function: FunctionType) -> str:
 
 
 def _reach(function: FunctionType, reached: dict[FunctionType, str]) -> None:
-    """Add to ``reached`` a function with its description (without the functions that it calls), and
-    then those functions.
-    """
+    """Add a function's description to ``reached``, and those of all that it calls."""
     if function in reached:
         return
     reached[function] = ""
@@ -178,9 +172,7 @@ def _reach(function: FunctionType, reached: dict[FunctionType, str]) -> None:
 
 
 def _description(value: Any, called: list[FunctionType]) -> str:
-    """Description of a value that is the same in every process; functions that are compiled with it
-    are added to ``called``.
-    """
+    """The same in every process; functions that are compiled with the value go to ``called``."""
     # the latter of an intrinsic
     compiled = getattr(value, "py_func", getattr(value, "_defn", None))
     if isinstance(compiled, FunctionType):

@@ -32,9 +32,7 @@ def inlined(kernel: Any) -> Any:
 
 
 def _uncollected(compile_: Callable[..., Any]) -> Callable[..., Any]:
-    """``compile_`` without garbage collection, which searches in vain through what a compilation
-    holds, ten times a second.
-    """
+    """Without garbage collection, which searches in vain through what a compilation holds."""
 
     def uncollected(sig: Any) -> Any:
         collects = gc.isenabled()

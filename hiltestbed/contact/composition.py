@@ -287,9 +287,7 @@ def carried_by(model: mujoco.MjModel, carrier: str) -> tuple[list[int], list[int
 
 
 def _put(weights: Array, at: NDArray[np.int_] | int, value: Array | float) -> None:
-    """Write ``value`` where MuJoCo's own differs by more than 1e-6; the motion of a prescribed,
-    very heavy carrier is less than that.
-    """
+    """Write ``value``, unless MuJoCo's own differs by the motion of a very heavy carrier only."""
     weights[at] = np.where(np.isclose(weights[at], value, rtol=1e-6, atol=0.0), weights[at], value)
 
 
@@ -330,9 +328,7 @@ def body_of(spec: mujoco.MjSpec, sides: Sides, frame: int) -> str:
 
 
 def _add_facets(spec: mujoco.MjSpec, sides: Sides, rubs: bool) -> None:
-    """For each facet a box on the body that carries the frame of the surface, and a ball on that of
-    the round; of a rod it is placed at its nearest point.
-    """
+    """A box in the frame of each surface, a ball in that of its round."""
     box, ball = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
     away = {"size": FACET, "pos": [0.0, 0.0, AWAY], "quat": _UNALIGNED}
     for k in range(len(sides.facets)):

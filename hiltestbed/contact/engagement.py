@@ -202,11 +202,7 @@ class Engagement:
 
 
 class _Bodies:
-    """The frames to which geoms and sites are fixed.
-
-    Attributes:
-        bodies: their poses and twists. parts: MuJoCo's indices and arrays of moving parts, if any.
-    """
+    """Poses and twists of the frames; MuJoCo's indices and arrays of moving parts, if any."""
 
     def __init__(self, batch: Batch, structure: Structure, tilt: Array) -> None:
         n, m, names = len(tilt), batch.model, structure.sides.frames
@@ -231,12 +227,7 @@ class _Bodies:
 
 
 class _Pairs:
-    """MuJoCo's pairs and facets.
-
-    Attributes:
-        inputs: MuJoCo's arrays. gain: (n, T) g [1/kg]. reading: (n, READ native pairs) of their
-            sensors.
-    """
+    """MuJoCo's pairs: their arrays, ``gain`` (n, T) g [1/kg], and readings of native ones."""
 
     def __init__(self, batch: Batch, structure: Structure, parameters: Array) -> None:
         m, sides = batch.model, structure.sides

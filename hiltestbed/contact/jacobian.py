@@ -34,9 +34,7 @@ SLIDE, HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE
 
 
 class _Spring(NamedTuple):
-    """Springs along ``axes`` (3, m) in W, at a point ``place`` (3,) in W, between two bodies of
-    MuJoCo's model; ``turns``: rotational, about the axes.
-    """
+    """Springs along ``axes`` (3, m), or about them, at ``place`` (3,) in W, between two bodies."""
 
     bodies: tuple[int, int]
     place: Array
@@ -224,9 +222,7 @@ def _chain(m: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _held(batch: Batch, i: int, j: int) -> bool:
-    """Whether a joint is at an end of its range. Joint friction does not count: MuJoCo's friction
-    creeps like a damper.
-    """
+    """Whether a joint is at an end of its range; MuJoCo's joint friction creeps like a damper."""
     m = batch.model
     return (
         bool(m.jnt_limited[j])

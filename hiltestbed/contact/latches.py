@@ -210,8 +210,8 @@ def site_state(frame, motion, place, pose, twist):
 
 @njit(cache=True)
 def _anchor(carry, place, at, out, scratch):
-    """``out`` (3,): a point ``at`` (3,) of a site, in a body's frame; site at ``place`` (7,) in a
-    frame at ``carry`` (7,) in the body.
+    """``out`` (3,): a point ``at`` (3,) of a site, at ``place`` in a frame at ``carry`` in its
+    body.
     """
     v = scratch[0:3]
     rotate(place[3:7], at, v)

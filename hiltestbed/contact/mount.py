@@ -16,8 +16,8 @@ from mujoco.batch import Batch
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.frames import Array, quat_mul, rotate, sin_cos
+from hiltestbed.signals import AXES
 
-AXES = ("x", "y", "z", "rx", "ry", "rz")
 # bodies: the carrier of the force sensor, and the passive side on its mount
 CARRIER, MOUNTED = "passive_carrier", "passive_mount"
 

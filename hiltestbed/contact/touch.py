@@ -168,9 +168,7 @@ def _meeting(impact: Impact) -> Meeting | _Parts:
 
 
 def _reached(approach: Approach, meeting: Meeting | _Parts, pose: Array) -> bool:
-    """Whether there is a first touch on the way along the insertion; z of ``pose`` (7,) is then
-    there.
-    """
+    """Whether there is a first touch along the insertion; ``pose`` (7,) is then at it."""
 
     def touches(z: float) -> bool:
         pose[2] = z

@@ -229,11 +229,7 @@ def accumulate(s, sample, forgetting):
 
 @njit(cache=True)
 def _fit(sums, out):
-    """Write k, c and their standard deviations to ``out`` (4,), which is unchanged if the axis has
-    not moved.
-
-    Returns the sums of squares of the force about its mean, and of the residual of the fit.
-    """
+    """k, c and sd to ``out`` (4,) if the axis moved; sums of squares of force and residual."""
     if sums[0] < MINIMUM_SAMPLES:
         return 0.0, 0.0
     n, xx, xv, vv, xy, vy, total = about_means(sums)

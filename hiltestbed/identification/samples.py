@@ -222,9 +222,7 @@ class ContactSamples:
 
 @njit(cache=True)
 def _meet(k, geometry, pose, twist, past, at_once):
-    """Penetration, its rate and the normal of the deepest contact at t_k, in the column after the
-    six axes; and how many contacts there are at once.
-    """
+    """Depth, rate and normal of the deepest contact at t_k, and how many there are at once."""
     index, x, v, normal = geometry.index, past.x, past.v, past.normal
     slot, length, count = k % x.shape[1], x.shape[1], index[-1]
     frames = np.zeros((2, 7))
@@ -312,9 +310,7 @@ def _take(k, rig, given, past, delay, latches, held, onset, found):
 
 @njit(cache=True)
 def _sample(k, wrench, captured, delay, given, past, origin, place):
-    """x, v and 1 at t_k - delay while in contact, else 0, through the model of the sensor's
-    filters, with the force read at t_k.
-    """
+    """x, v, 1 at t_k - delay in contact, else 0, through the sensor's filters; the force."""
     h, smooth, leak = given.tick, given.smooth, given.leak
     x, v, normal, memory = past.x, past.v, past.normal, past.filter
     pending, gated = past.pending, past.gated

@@ -98,9 +98,7 @@ def mobility(spacecraft: Spacecraft) -> Array:
 
 
 def _mobility(body: Body) -> Array:
-    """Of one body at its port, in the port's axes, r the port's position: ``[1/m - [r] I^-1 [r],
-    -[r] I^-1; I^-1 [r], I^-1]``.
-    """
+    """Of a body at its port: ``[1/m - [r] I^-1 [r], -[r] I^-1; I^-1 [r], I^-1]``, in its axes."""
     port = port_pose(body)
     turn = rotation_matrix(port[3:])
     inverse = turn.T @ np.linalg.inv(inertia_matrix(body.inertia)) @ turn

@@ -347,12 +347,9 @@ def swing(hung, masses, q, v, h, swing, tau):
 
 @njit(cache=True)
 def _swing_at(appendage, whole, rest, q, v, h, swing, tau):
-    """The appendages of a body that are away from its centre of mass: force and reaction act along
-    one line, through the mass.
-
-    The damper acts on the velocity of the mass relative to the body-fixed point at its position.
-    Linear momentum is conserved to the last bit, and so is the total angular momentum, except for
-    what the step of the body's rotation loses.
+    """As :func:`swing`, of a body with appendages away from its centre of mass: force and reaction
+    act along one line, which conserves linear and angular momentum. The damper acts on the velocity
+    relative to the body-fixed point at the mass.
     """
     away = np.empty(3)
     arm = np.empty(3)

@@ -18,12 +18,14 @@ from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.frames import quat_exp, rotation_matrix
 from hiltestbed.plugins import register
+from hiltestbed.signals import AXES
 
 if TYPE_CHECKING:
     from hiltestbed.sensor.parameters import SensorParameters
 
 
-AXES = ("x", "y", "z")
+FORCES = AXES[:3]
+WrenchAxis = Literal["x", "y", "z", "rx", "ry", "rz"]
 DRIFTS = 3.0  # largest drift over a run that is searched, in peak forces
 NEAR = 3.0  # [Hz] to either side of a spectral line, within which a tone is fitted
 
@@ -73,7 +75,7 @@ class SensorDrift(SensorEffect):
     repeats = True
 
     def apply(self, p: SensorParameters) -> None:
-        p.drift[AXES.index(self.axis)] += self.rate
+        p.drift[FORCES.index(self.axis)] += self.rate
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
@@ -82,7 +84,7 @@ class SensorDrift(SensorEffect):
             candidate(
                 cls, {"rate": [0.0]}, choices=3, bounds={"rate": (-fastest, fastest)}, axis=axis
             )
-            for axis in AXES
+            for axis in FORCES
         )
 
 
@@ -108,7 +110,7 @@ class SensorHum(SensorEffect):
     leading = "amplitude"
 
     def apply(self, p: SensorParameters) -> None:
-        on = [float(self.axis in (axis, "all")) * self.amplitude for axis in AXES]
+        on = [float(self.axis in (axis, "all")) * self.amplitude for axis in FORCES]
         p.tone.append((on[0], on[1], on[2], self.frequency, self.phase))
 
     @classmethod
@@ -128,10 +130,6 @@ class SensorHum(SensorEffect):
         return candidate(cls, start, choices=4, bounds=bounds, axis=axis)
 
 
-WRENCH_AXES = ("x", "y", "z", "rx", "ry", "rz")
-WrenchAxis = Literal["x", "y", "z", "rx", "ry", "rz"]
-
-
 @register
 class SensorGain(SensorEffect):
     """The gain of one axis of the wrench is wrong."""
@@ -147,13 +145,13 @@ class SensorGain(SensorEffect):
     repeats = True
 
     def apply(self, p: SensorParameters) -> None:
-        p.gain[WRENCH_AXES.index(self.axis)] *= self.factor
+        p.gain[AXES.index(self.axis)] *= self.factor
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         return (
             candidate(cls, {"factor": [0.9, 1.1]}, choices=2, linear="factor", axis=axis)
-            for axis in WRENCH_AXES
+            for axis in AXES
         )
 
 
@@ -181,11 +179,11 @@ class SensorCrosstalk(SensorEffect):
     repeats = True
 
     def apply(self, p: SensorParameters) -> None:
-        p.cross[WRENCH_AXES.index(self.axis), WRENCH_AXES.index(self.source)] += self.ratio
+        p.cross[AXES.index(self.axis), AXES.index(self.source)] += self.ratio
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        pairs = [(a, b) for a in WRENCH_AXES for b in WRENCH_AXES if a != b]
+        pairs = [(a, b) for a in AXES for b in AXES if a != b]
         return (candidate(cls, {"ratio": [0.0]}, choices=6, source=a, axis=b) for a, b in pairs)
 
 
@@ -373,7 +371,7 @@ class SensorMap(SensorEffect):
     repeats = True
 
     def apply(self, p: SensorParameters) -> None:
-        p.curve[WRENCH_AXES.index(self.axis)] = self.reading
+        p.curve[AXES.index(self.axis)] = self.reading
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:

@@ -119,10 +119,7 @@ def _read(k, h, sub, late, noise, e, memory, out):
 
 @njit(cache=True)
 def _arrive(k, sub, late, lag, leak):
-    """The wrench that arrives: that at t - delay, interpolated linearly between physics instants,
-    for every physics instant t of the tick if a filter needs them, else for the last; ``sub`` is
-    stored in the ring buffer.
-    """
+    """The wrench at t - delay, at each instant of the tick if a filter needs it, else the last."""
     ring, delay, jitter, shake, out = late
     n, m = sub.shape[0], sub.shape[1]
     length = ring.shape[1]

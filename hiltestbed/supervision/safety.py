@@ -90,9 +90,7 @@ class Safety:
 
 @njit(cache=True)
 def _watch(rig, sliders, pose_W, pose, pose_before, wrench_sub, energy, state):
-    """``rig``: tick [s], limbs, and limits (n, 8). ``state``: ticks so far, the sliders' positions
-    and speeds then, and :attr:`Safety.quantities`.
-    """
+    """``rig``: tick [s], limbs, limits (n, 8); ``state``: ticks, sliders before, quantities."""
     h, limbs, limits = rig
     ticks, before, q = state
     passed = False

@@ -137,9 +137,7 @@ class SmithPredictorBlock:
 
 @njit(cache=True)
 def _reconstruct(wrench, led, now, late, stiffness, damping, out):
-    """Along the insertion the spring cannot pull and acts only beyond the nominal touch; the other
-    axes act while fz is positive.
-    """
+    """Along z the spring only pushes, beyond the touch; other axes act while fz is positive."""
     for i in range(wrench.shape[0]):
         pressing = wrench[i, 2] > 0.0
         for j in range(6):

@@ -268,9 +268,7 @@ def prior_sd(m, c):
 
 @njit(cache=True)
 def _explained(a, b, x):
-    """``b.x``, where x >= 0 solves the normal equations ``a x = b``, by Cholesky; a column that
-    would be negative, or that the others make up, is left out.
-    """
+    """``b.x`` of x >= 0 with ``a x = b``, without columns that would be negative or dependent."""
     n = b.shape[0]
     taken = np.ones(n, dtype=np.bool_)
     l, z = np.zeros((n, n)), np.zeros(n)
@@ -327,9 +325,7 @@ def _bounded(m, p, deepest):
 
 @njit(cache=True)
 def _normal(m, p, used, work, matrix, gradient):
-    """Normal equations (UNKNOWNS, UNKNOWNS) of the unknowns in use, without the priors, in units of
-    f sigma^2; the columns and the Jacobian of the reading are left in ``work``.
-    """
+    """Normal equations without priors, in units of f sigma^2; Jacobian into ``work``."""
     rows, other, jacobian = work
     step, n, near = int(p[ONSET]), m.y.shape[0], np.empty(SOLUTION)
     columns(m, p, used, rows)
@@ -379,9 +375,7 @@ def _add_priors(m, p, used, matrix, gradient):
 
 @njit(cache=True)
 def _fix(p, used, matrix, right):
-    """Take out of normal equations what is not in use, or stands at 0, below which it means
-    nothing.
-    """
+    """Take out of normal equations what is not in use, or stands at its bound of 0."""
     for c in range(UNKNOWNS):
         if not used[c] or matrix[c, c] <= 0.0 or (c < LINEAR and p[c] <= 0.0):
             matrix[c, :] = 0.0
@@ -443,9 +437,7 @@ def _descend(m, p, used, work):
 
 @njit(cache=True)
 def _settle(m, p, used, work):
-    """As :func:`_descend`, and to the step of the physics at which the force sets in, if the touch
-    point is searched.
-    """
+    """As :func:`_descend`, and to the best ONSET, if the touch point is searched."""
     best = _descend(m, p, used, work)
     if not used[POINT]:
         return best
@@ -500,9 +492,7 @@ def _evidence(m, p, used, found, work):
 
 @njit(cache=True)
 def _grown(m, parent, used, new, work, out):
-    """The model of ``used`` unknowns, of which ``new`` is one more than in ``parent``, into
-    ``out``.
-    """
+    """The model that has the unknown ``new`` more than ``parent``, into ``out``."""
     out[COST] = np.inf
     start = np.empty(SOLUTION)
     for digital in range(2 if new == LAG else 1):
@@ -552,8 +542,8 @@ def _begin(m, p, used, new, rows):
 
 @njit(cache=True)
 def _centre(m, used, rows, best):
-    """Move the delay to the middle of its 95 % interval, whose half width is SPREAD: between two
-    readings the force may set in at any instant, with the same chi-square.
+    """Move the delay to the middle of its 95 % interval: between two readings chi-square is
+    constant.
     """
     trial = best.copy()
     limit = misfit(m, trial, used, rows) + CERTAIN
@@ -576,10 +566,7 @@ def _centre(m, used, rows, best):
 
 @njit(cache=True)
 def _widen(m, p, used, work):
-    """Let the interval of the delay, now that the last reading is in, hold a drift that was not
-    worth an unknown: about ``p``, what the samples and its prior say of it together with all else,
-    and by how much the best fit that has it is off.
-    """
+    """Let the interval of the delay, at the last reading, hold a drift not worth an unknown."""
     matrix, step = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     joint = used.copy()
     joint[RATE] = True
@@ -600,9 +587,8 @@ def _widen(m, p, used, work):
 
 @njit(cache=True)
 def _promised(m, p, used, new, work):
-    """By how much -2 ln Z falls at best if the unknown ``new`` joins the best fit ``p`` of those
-    ``used``, to first order: the score test (C. R. Rao, Proc. Camb. Phil. Soc. 44, 1948), less what
-    the unknown costs. A fraction of what finding the new best fit takes.
+    """The fall of -2 ln Z to first order if the unknown ``new`` joins the best fit: the score test
+    (C. R. Rao, Proc. Camb. Phil. Soc. 44, 1948) less what the unknown costs.
     """
     rows, matrix, gradient = work[0], np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     joint, near = used.copy(), p.copy()

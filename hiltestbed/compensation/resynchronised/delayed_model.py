@@ -70,8 +70,8 @@ def _whole(ticks):
 
 @njit(cache=True)
 def _acted(i, m, k, rows):
-    """Position, rate and wrench at A (rows 0 to 2) when the force read at tick ``k`` acted; returns
-    the force [N].
+    """Position, rate and wrench at A (rows 0 to 2) when the force [N] of tick ``k`` acted; the
+    force.
     """
     state = m.state
     late, part = _whole(_delay(i, m, k))
@@ -152,9 +152,7 @@ def _take(i, m, rows, y):
 
 @njit(cache=True)
 def _touched(i, m, s, u, work):
-    """Start a contact: move the model of a lagging platform back, in free flight, to where the rig
-    touched, and save the state for a re-run.
-    """
+    """Start a contact: the model of a lagging platform moves back to where the rig touched."""
     state, tick, law = m.state, m.state.tick[i], m.state.law[i]
     told = state.told[i]
     _hold(i, m, tick[DONE])
@@ -194,9 +192,7 @@ def _hold(i, m, k):
 
 @njit(cache=True)
 def _refit(i, m, work, rows):
-    """Fit delay and law to this contact so far; what the samples refuse is replaced, and the
-    delayed model is run again from before the touch.
-    """
+    """Fit delay and law to this contact so far, and run the model again from before the touch."""
     h, setup, state = m.tick, m.setup, m.state
     fit, law, count, tick = state.fit[i], state.law[i], state.count[i], state.tick[i]
     samples = _samples(i, m)
@@ -317,9 +313,7 @@ def catch_up(i, m, work, rows):
 
 @njit(cache=True, inline="always")
 def _step_delayed(i, m, j, work, rows):
-    """Step the delayed model from t_j to t_(j+1) under the wrench measured for t_j, corrected for
-    the model's offset from the rig.
-    """
+    """A step from t_j under the wrench measured for it, corrected for the offset from the rig."""
     fixed, bodies, setup, state = m.fixed, m.bodies, m.setup, m.state
     length = state.x.shape[1]
     pose, twist, used, line, law = rows[0], rows[1], rows[2], state.line[i], state.law[i]

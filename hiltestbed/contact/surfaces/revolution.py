@@ -235,11 +235,9 @@ def _off_line(points: Array) -> float:
 
 
 def _circle(points: Array, tolerance: float) -> Array | None:
-    """Centre and radius (3,) of the circle through all the points, in one sense of rotation; None
-    if there is none.
-
-    Starts from the algebraic fit (Kasa), then Gauss-Newton on the distances; a centre within the
-    tolerance of the axis is put on it.
+    """Centre and radius (3,) of the circle through the points, one way round; None if there is
+    none: from the algebraic fit (Kasa), Gauss-Newton on the distances; a centre nearly on the axis
+    is put on it.
     """
     edges = np.diff(points, axis=0)
     turns = np.arctan2(

@@ -107,9 +107,7 @@ class Instrumental(ContactIdentifier):
 
 @njit(cache=True)
 def _instruments(ready, sample, lags, past, length, sums, samples, found):
-    """``past``: regressors of this contact, of ``length`` (n,) samples. The intercept is
-    eliminated, then two equations are solved for k and c.
-    """
+    """``past``: regressors of this contact, of ``length`` (n,) samples."""
     for i in range(sample.shape[0]):
         if not ready[i]:
             length[i] = 0

@@ -99,7 +99,7 @@ def test_the_sizes_are_those_of_mujoco(kind: int) -> None:
         <body><freejoint/><geom type="sphere" size="0.01"/></body></worldbody></mujoco>""")
     data, normal = mujoco.MjData(model), np.zeros(3)
     for p in awkward_points(kind)[100:140]:
-        distance = signed_distance(of_geom(kind, np.array(SIZES[kind])), p, normal)
+        distance = signed_distance(of_geom(kind, np.array(SIZES[kind])), p, math.inf, normal)
         if distance < 0.02:
             continue
         data.qpos[:3] = p
