@@ -34,9 +34,7 @@ SERIES = tuple(1.0 / math.factorial(n) for n in range(13))
 
 @njit(cache=True)
 def sin_cos(angle):
-    """Sine and cosine. Up to :data:`SERIES_ANGLE`, Taylor series, exact to rounding and several
-    times faster than the library's.
-    """
+    """Sine and cosine; by Taylor series, exact to rounding, up to :data:`SERIES_ANGLE`: faster."""
     if abs(angle) > SERIES_ANGLE:
         return math.sin(angle), math.cos(angle)
     s = angle * angle
@@ -183,11 +181,8 @@ def add_moment(sign, position, wrench):
 
 @njit(cache=True)
 def pose_step(pose, twist, h, out):
-    """``out``: ``pose`` moved for ``h`` [s] by a constant twist, both in the frame of the pose
-    (linear and angular separately).
-    """
-    r = np.empty(3)
-    q = np.empty(4)
+    """``out``: ``pose`` moved for ``h`` [s] by a constant twist, linear and angular separately."""
+    r, q = np.empty(3), np.empty(4)
     for i in range(3):
         r[i] = twist[3 + i] * h
     quat_exp(r, q)
@@ -200,11 +195,7 @@ def pose_step(pose, twist, h, out):
 def twist_between(pose_0, pose_1, h, out):
     """``out``: the constant twist from ``pose_0`` to ``pose_1`` in ``h`` [s], as in pose_step."""
     q = np.empty(4)
-    inverse = np.empty(4)
-    for i in range(3):
-        inverse[i] = -pose_0[3 + i]
-    inverse[3] = pose_0[6]
-    quat_mul(pose_1[3:7], inverse, q)
+    quat_mul_conj(pose_1[3:7], pose_0[3:7], q)
     rotation_vector(q, out[3:6])
     for i in range(3):
         out[i] = (pose_1[i] - pose_0[i]) / h

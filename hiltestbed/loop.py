@@ -99,8 +99,8 @@ class Loop:
     def __init__(
         self, scenarios: Sequence[Scenario], nthread: int = 1, side: MakeSide = simulated
     ) -> None:
-        """``side``: makes the physical side, simulated or with real devices, for the scenarios and
-        a number of threads.
+        """``side``: makes the physical side for scenarios and threads, simulated or of real
+        devices.
         """
         n = len(scenarios)
         self.scenarios = scenarios

@@ -255,11 +255,19 @@ def reference_fault(batch: Batch, i: int) -> str | None:
 
 def _identified(loop: Loop, i: int) -> dict[str, Any]:
     """Per axis: estimates and their sd, None without one, and true values where defined."""
-    truth, estimate, identifiable = (
-        _truth(loop, i),
-        loop.identification,
-        _identifiable_axes(loop, i),
+    scenario, plant, estimate = loop.scenarios[i], loop.plant, loop.identification
+    held = plant.held_pair(i)
+    truth = (
+        axis_truth(scenario.impact, bool(plant.captured[i]))
+        if held is None
+        else [(float(held[0][j, j]), float(held[1][j, j])) for j in range(len(AXES))]
     )
+    # a ball joint rotates freely: a fit on its rotations would only give the arm of its force
+    identifiable = len(AXES)
+    if plant.phases is not None:
+        begun = scenario.mechanism.phases()[: int(plant.phases.begun[i])]
+        if not any(p.close is not None and p.close.kind == "weld" for p in begun):
+            identifiable = 3
     # not every method states how sure it is
     values = {name: getattr(estimate, name, None) for name in ESTIMATED}
     out = {}
@@ -287,27 +295,6 @@ def _force_delay(loop: Loop, i: int) -> dict[str, float] | None:
         "estimated": float(drive.delay[i]),
         "half_width": float(drive.delay_half_width[i]),
     }
-
-
-def _truth(loop: Loop, i: int) -> list[tuple[float, float] | None]:
-    """True stiffness and damping of each axis; once latched in phases by the Jacobians."""
-    held = loop.plant.held_pair(i)
-    if held is None:
-        return axis_truth(loop.scenarios[i].impact, bool(loop.plant.captured[i]))
-    return [(float(held[0][j, j]), float(held[1][j, j])) for j in range(len(AXES))]
-
-
-def _identifiable_axes(loop: Loop, i: int) -> int:
-    """Axes with a stiffness: a ball joint rotates freely."""
-    phases = loop.plant.phases
-    if phases is None:
-        return len(AXES)
-    closed = [
-        p.close
-        for p in loop.scenarios[i].mechanism.phases()[: int(phases.begun[i])]
-        if p.close is not None
-    ]
-    return len(AXES) if any(c.kind == "weld" for c in closed) else 3
 
 
 def _along_normal(loop: Loop, i: int) -> dict[str, Any]:

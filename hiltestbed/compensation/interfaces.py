@@ -49,9 +49,7 @@ class ForcePath(NamedTuple):
 
 
 class KernelBlock:
-    """A :class:`ForceBlock` that is one kernel, called with some readings, what is ``given``, and
-    the output.
-    """
+    """A :class:`ForceBlock` of one kernel: called with readings, what is ``given``, the output."""
 
     def __init__(self, kernel: Callable[..., None], readings: Sequence[str], *given: Any) -> None:
         """``readings``: names in a :class:`Measurement`. given: the first has a row for each run,

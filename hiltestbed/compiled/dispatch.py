@@ -13,7 +13,7 @@ import hashlib
 from collections.abc import Callable, Iterable
 from functools import cache
 from types import CodeType, FunctionType, ModuleType
-from typing import Any, Protocol
+from typing import Any
 
 import numba
 import numpy as np
@@ -26,21 +26,8 @@ _njit: Any = numba.njit
 _marks: dict[FunctionType, str] = {}
 
 
-class KernelLike(Protocol):
-    """A :class:`hiltestbed.compiled.jit.Kernel`."""
-
-    @property
-    def py_func(self) -> FunctionType: ...
-    @property
-    def options(self) -> dict[str, Any]: ...
-    @property
-    def dispatcher(self) -> Any: ...
-
-
-def dispatcher_of(kernel: KernelLike) -> Any:
-    """``numba.njit`` of a kernel's function; code cached on disk is marked by everything that it
-    depends on.
-    """
+def dispatcher_of(kernel: Any) -> Any:
+    """``numba.njit`` of a kernel's function; cached code is marked by all that it depends on."""
     _register(type(kernel))
     function, options = kernel.py_func, kernel.options
     dispatcher: Any = _njit(**options)(function)
@@ -101,9 +88,7 @@ def _readable(load_index: Callable[[], dict]) -> Callable[[], dict]:
 
 
 class Mark:
-    """The mark with which a cached kernel is compared; computed at first use, when everything that
-    the function names is defined.
-    """
+    """The mark of a cached kernel, computed at first use, when all that it names is defined."""
 
     __slots__ = ("_function",)
 
@@ -117,19 +102,15 @@ class Mark:
         return hash(str(self))
 
     def __str__(self) -> str:
-        return mark_of(self._function)
+        if self._function not in _marks:
+            reached: dict[FunctionType, str] = {}
+            _reach(self._function, reached)
+            text = "\n".join(sorted(reached.values()))
+            _marks[self._function] = hashlib.sha256(text.encode()).hexdigest()
+        return _marks[self._function]
 
     def __reduce__(self) -> tuple[type[str], tuple[str]]:
         return str, (str(self),)
-
-
-def mark_of(function: FunctionType) -> str:
-    """Hash of a function's code, its kernels', and of the constants that any of them reads."""
-    if function not in _marks:
-        reached: dict[FunctionType, str] = {}
-        _reach(function, reached)
-        _marks[function] = hashlib.sha256("\n".join(sorted(reached.values())).encode()).hexdigest()
-    return _marks[function]
 
 
 def _reach(function: FunctionType, reached: dict[FunctionType, str]) -> None:
@@ -140,14 +121,8 @@ def _reach(function: FunctionType, reached: dict[FunctionType, str]) -> None:
     codes = [function.__code__]
     parts: list[str] = [f"{function.__module__}.{function.__qualname__}"]
     called: list[FunctionType] = []
-    space = function.__globals__
-    held = dict(
-        zip(
-            function.__code__.co_freevars,
-            (c.cell_contents for c in function.__closure__ or ()),
-            strict=True,
-        )
-    )
+    cells = (c.cell_contents for c in function.__closure__ or ())
+    space = function.__globals__ | dict(zip(function.__code__.co_freevars, cells, strict=True))
     while codes:
         code = codes.pop()
         parts += [code.co_code.hex(), repr(code.co_names), repr(code.co_varnames)]
@@ -158,7 +133,7 @@ def _reach(function: FunctionType, reached: dict[FunctionType, str]) -> None:
             if not isinstance(constant, CodeType)
         ]
         for name in (*code.co_names, *code.co_freevars):
-            value = held.get(name, space.get(name))
+            value = space.get(name)
             parts.append(f"{name} {_description(value, called)}")
             if isinstance(value, ModuleType):
                 parts += [

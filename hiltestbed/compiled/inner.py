@@ -21,9 +21,7 @@ from numba.core.types import unliteral
 
 
 def inlined(kernel: Any) -> Any:
-    """The dispatcher that kernels calling ``kernel`` take its code from; a call of ``kernel`` from
-    Python compiles it as before.
-    """
+    """The dispatcher of which kernels that call ``kernel`` take the code."""
     inner = _InnerDispatcher(kernel.py_func, kernel.locals, kernel.targetoptions, _InnerCompiler)
     kernel.get_call_template = inner.get_call_template
     kernel.get_overload = inner.get_overload

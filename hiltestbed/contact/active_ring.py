@@ -70,9 +70,7 @@ class RingActuators(Strictly):
 
     @property
     def joints(self) -> Array:
-        """``(2, 6, 3)`` joints of each leg on the base and on the ring [m], from the middle of the
-        ring's joints at rest.
-        """
+        """``(2, 6, 3)`` joints on base and ring [m], from the middle of the ring's at rest."""
         side, pair = np.tile([1.0, -1.0], 3), np.repeat([0.0, 120.0, 240.0], 2)
         base = np.radians(pair + side * self.base_half_angle_deg)
         ring = np.radians(pair + side * (60.0 - self.ring_half_angle_deg))

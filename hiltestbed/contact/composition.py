@@ -317,9 +317,7 @@ def _pair(spec: mujoco.MjSpec, name: str, active: str, passive: str, rubs: bool)
 
 
 def body_of(spec: mujoco.MjSpec, sides: Sides, frame: int) -> str:
-    """The name of the body to which the frame number ``frame`` is fixed: that of the port's site,
-    or the moving part; everything welded to it, at any depth, is placed in this frame.
-    """
+    """The body to which a frame is fixed: that of the port's site, or a moving part."""
     if frame < FRAMES:
         site = (ACTIVE + "A", PASSIVE + "P")[frame]
         return spec.site(site).parent.name
@@ -357,9 +355,7 @@ def _add_native(spec: mujoco.MjSpec, sides: Sides, rubs: bool) -> None:
 
 
 def set_linear(batch: Batch, laws: Array) -> None:
-    """Set the pairs of a ``constant`` structure to the stiffness and damping of their ``laws`` (n,
-    T + 1, PARAMETERS).
-    """
+    """Set the pairs of a ``constant`` structure from their ``laws`` (n, T + 1, PARAMETERS)."""
     m, count = batch.model, laws.shape[1] - 1
     pairs = [m.pair(f"native_{k}").id for k in range(count)]
     geoms = np.stack([m.pair_geom1, m.pair_geom2])[:, pairs]

@@ -74,9 +74,7 @@ class FacetState(NamedTuple):
 
 @njit(cache=True)
 def spring(linear, row, push, drag, show, g, solref, friction):
-    """MuJoCo's solref for a contact that it sees ``show`` [m] deep, for a normal force ``push`` [N]
-    and friction ``drag`` [N s/m].
-    """
+    """MuJoCo's solref of a contact seen ``show`` [m] deep for ``push`` [N] and ``drag`` [N s/m]."""
     if linear:
         solref[0] = -row[STIFFNESS] * g
         solref[1] = min(-row[DAMPING] * g, NO_DAMPING)
@@ -89,9 +87,7 @@ def spring(linear, row, push, drag, show, g, solref, friction):
 
 @njit(cache=True)
 def pose_facet(i, c, show, geometry, bodies, inputs, point, normal, work):
-    """Place the facet of contact ``c`` in the tangent plane and the ball ``show`` [m] into it, so
-    that MuJoCo's contact is at ``point`` (3,).
-    """
+    """Place facet ``c`` in the tangent plane, its ball ``show`` [m] in it, at ``point`` (3,)."""
     index, values = geometry
     surface, round_ = index[c * ROW + SURFACE_FRAME], index[c * ROW + ROUND_FRAME]
     radius, ids = values[c * VALUES + RADIUS], inputs.ids[c]

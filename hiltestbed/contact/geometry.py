@@ -91,9 +91,7 @@ def unmet(count):
 
 
 class Round(NamedTuple):
-    """A ball or a rod: radius [m], both ends (2, 3) of its axis [m] in the frame number ``frame``;
-    the ends of a ball are equal.
-    """
+    """A ball or rod: radius [m] and ends (2, 3) of its axis [m], of a ball equal, in a frame."""
 
     radius: float
     ends: Array

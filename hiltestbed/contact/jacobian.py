@@ -69,9 +69,7 @@ def held_pair(
 def pair_at(
     engagement: Engagement, batch: Batch, structure: Structure, i: int, place: Array
 ) -> tuple[Array, Array] | None:
-    """Stiffness and damping (6, 6), as for :func:`held_pair`, about a point ``place`` (3,) in W of
-    the active side; None if a contact with a non-linear law pushes.
-    """
+    """As :func:`held_pair`, about ``place`` (3,) in W; None if a non-linear contact pushes."""
     springs = _springs(engagement, structure, batch.model, i)
     if springs is None:
         return None
@@ -182,9 +180,7 @@ class _Joints:
             self.stiffness[place], self.damping[place] = engagement.legs.law(i)
 
     def sums(self, springs: list[_Spring], place: Array) -> tuple[Array, Array]:
-        """(6 + joints, 6 + joints) stiffness and damping, of the active side's displacement at
-        ``place`` (3,) in P, and of the joints.
-        """
+        """Stiffness and damping of A's displacement at ``place`` (3,) in P and of the joints."""
         stiffness = np.diag(np.concatenate([np.zeros(6), self.stiffness]))
         damping = np.diag(np.concatenate([np.zeros(6), self.damping]))
         for spring in springs:

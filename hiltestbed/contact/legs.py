@@ -43,9 +43,7 @@ ROUNDING = math.sqrt(np.finfo(float).eps)
 
 
 def stand_on_legs(side: mujoco.MjSpec, ring: ActiveRing) -> None:
-    """Replace the springs, the dampers and the actuator of the ring in an active ``side`` by the
-    legs: tendons with an actuator each, whose force follows its control.
-    """
+    """Replace springs, dampers and actuator of the ring in ``side`` by tendons with actuators."""
     body, legs, rest = side.body(RING), ring.legs, ring.legs.lengths()
     for joint in body.joints:
         joint.stiffness[:], joint.damping[:] = 0.0, 0.0
@@ -174,8 +172,8 @@ class RingLegs:
         self.state.faults[:] = -1.0
 
     def begin(self, phase: str, which: NDArray[np.bool_]) -> None:
-        """Take the law of a ``phase`` in the runs ``which`` (n,); hard capture stops the reference,
-        and a phase without a law changes nothing.
+        """Take the law of a ``phase`` in the runs ``which`` (n,); one without a law changes
+        nothing.
         """
         if phase in STAGES:
             self.state.stage[which], self.state.fresh[which] = STAGES.index(phase), True

@@ -112,8 +112,8 @@ def _turned(q):
 
 @njit(cache=True)
 def mount_place(q, qd, tilt, place, motion):
-    """One mount: ``place`` (7,) and ``motion`` (6,) of S in W from the joints ``q`` (6,) and their
-    rates ``qd`` (6,); ``tilt`` (7,).
+    """``place`` (7,), ``motion`` (6,) of S in W from joints ``q`` (6,), rates ``qd``; ``tilt``
+    (7,).
     """
     for j in range(3):
         place[j], motion[j] = q[j], qd[j]

@@ -129,9 +129,7 @@ def contact_rows(
 
 
 def mounts_of(mechanisms: Sequence[Mechanism]) -> tuple[Array, Array] | None:
-    """``(n, 6)`` stiffness [N/m, N m/rad] and damping [N s/m, N m s/rad] of compliant mounts; None
-    if they are rigid.
-    """
+    """``(n, 6)`` stiffness and damping [N/m, N m/rad, ...] of mounts; None if they are rigid."""
     if mechanisms[0].mount is None:
         return None
     mounts = [m.mount for m in mechanisms if m.mount is not None]
@@ -164,9 +162,7 @@ class MechanismParameters(NamedTuple):
 def mechanism_parameters(
     mechanisms: Sequence[Mechanism], effects: Iterable[Iterable[Effect]], rules: Sequence[int]
 ) -> MechanismParameters:
-    """The parameters of ``mechanisms`` under the ``effects`` of each; ``rules``: (T,) as for
-    :func:`contact_rows`.
-    """
+    """Those of ``mechanisms`` under ``effects``; ``rules`` (T,) as for :func:`contact_rows`."""
     laws = [
         contact_rows(acting_contacts(m, acting), rules, m.captured)
         for m, acting in zip(mechanisms, effects, strict=True)

@@ -154,9 +154,7 @@ class Side:
         )
 
     def apart(self) -> list[tuple[str, str]]:
-        """Pairs of geoms of this side that MuJoCo would let collide as they move, but which are in
-        no pair of the file: they do not touch.
-        """
+        """Pairs of geoms of this side that MuJoCo would let collide, but in no pair of the file."""
         m = self.model
         pairs = {tuple(sorted(p)) for p in zip(m.pair_geom1, m.pair_geom2, strict=True)}
         excluded = set(m.exclude_signature.tolist())

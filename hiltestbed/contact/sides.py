@@ -16,7 +16,6 @@ Geoms of one side touch each other only in a ``pair`` of its file, with MuJoCo's
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -144,7 +143,14 @@ def _sides(
         else [(a, p, k) for k, rule in enumerate(rules) for a, p in _meeting(active, passive, rule)]
     )
     if not pairs and not captured:
-        raise InputError(_nothing_touches(active, passive, rules))
+        reason = (
+            "no pair of geoms is within the reach of its class; give a longer reach"
+            if any(rule.active for rule in rules)
+            else "no geom of one can touch one of the other; a geom may touch if contype and "
+            'conaffinity are not 0: give at least one geom of each side contype="1" '
+            'conaffinity="1"'
+        )
+        raise InputError(f"{active.file}, {passive.file}: {reason}")
     if len(pairs) > MOST_PAIRS:
         raise InputError(
             f"{active.file}, {passive.file}: {len(pairs)} pairs of geoms may touch (at most "
@@ -233,16 +239,3 @@ def _meeting(active: Side, passive: Side, rule: Rule) -> list[tuple[int, int]]:
     apart = [active.ends(a)[:, None] - passive.ends(p)[None] for a, p in pairs]
     lateral = [np.linalg.norm(way, axis=2).min() for way in apart]
     return [pair for pair, away in zip(pairs, lateral, strict=True) if away < rule.reach]
-
-
-def _nothing_touches(active: Side, passive: Side, rules: Sequence[Rule]) -> str:
-    if any(rule.active for rule in rules):
-        return (
-            f"{active.file}, {passive.file}: no pair of geoms is within the reach of its "
-            f"class; give a longer reach"
-        )
-    return (
-        f"{active.file}, {passive.file}: no geom of one can touch one of the other; a geom may "
-        f"touch if contype and conaffinity are not 0: "
-        'give at least one geom of each side contype="1" conaffinity="1"'
-    )

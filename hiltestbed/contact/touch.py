@@ -220,9 +220,7 @@ class Meeting:
         self._met = sides.geometry, p, self.frames, np.zeros((frames, 6)), np.empty((9, 7)), met
 
     def deepest(self, pose: Array) -> float:
-        """Largest penetration [m] with A at ``pose`` (7,), negative while apart; that of each pair,
-        with its point and normal in W, is in ``depth``, ``point`` and ``normal``.
-        """
+        """Largest penetration [m] with A at ``pose`` (7,), negative while apart."""
         self.frames[0] = pose
         self._meet(*self._met)
         return float(self.depth.max())

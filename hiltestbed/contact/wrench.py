@@ -141,9 +141,7 @@ def contact_wrench(geometry, laws, sides, latched, hold, met, work, wrench):
 
 @njit(cache=True)
 def surface_wrench(geometry, laws, frames, met, f, wrench):
-    """Add the laws' forces to ``wrench`` (6,), see :func:`contact_wrench`; whether surfaces touch.
-    ``f`` (6,): scratch.
-    """
+    """Add the laws' forces to ``wrench`` (6,); whether surfaces touch. ``f`` (6,): scratch."""
     index = geometry[0]
     dt, least_creep, p, state = laws
     touching = False
@@ -192,9 +190,7 @@ def latch_wrench(p, dt, pose, twist, hold, state, work, local):
 
 @njit(cache=True)
 def held_at(pose, wrench, place, p, hold):
-    """``hold`` (7,): held pose of a latch that closes at ``pose`` (7,), such that its springs carry
-    the force of ``wrench`` (6,) in W.
-    """
+    """``hold`` (7,): held pose of a latch that closes at ``pose`` under ``wrench`` (6,) in W."""
     f = np.empty(3)
     rotate_back(place[3:7], wrench[0:3], f)
     for j in range(7):

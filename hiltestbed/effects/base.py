@@ -36,9 +36,7 @@ class Effect(Departure):
     @classmethod
     @placeholder
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """The hypotheses with which a diagnosis searches for it: free parameters, bounds and
-        starting points, scaled to the data.
-        """
+        """The hypotheses of a diagnosis: free parameters, bounds and starts, scaled to the data."""
         raise NotImplementedError
 
     def worth(self, tick: float, frequency: float) -> float | None:

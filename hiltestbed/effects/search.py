@@ -137,8 +137,8 @@ class Candidate:
         )
 
     def shapes(self) -> list[tuple[float, ...]]:
-        """Starting points that differ in more than the ``linear`` parameter, which has the
-        middle one of its values.
+        """Starts that differ in more than the ``linear`` parameter, with the middle one of its
+        values.
         """
         groups: dict[tuple[float, ...], list[tuple[float, ...]]] = {}
         for start in self.grid:

@@ -148,9 +148,7 @@ def update_held(pose, captured, steps, latches, now):
 
 @njit(cache=True)
 def referred(pose, twist, lever, reference, position, velocity):
-    """``position`` (6,) and ``velocity`` (6,) in P of the reference point: its position, and the
-    rotation vector from ``reference``.
-    """
+    """Position with rotation vector from ``reference``, and velocity (6,), of the point, in P."""
     v, q = np.empty(3), np.empty(4)
     rotate(pose[3:7], lever, v)
     for j in range(3):

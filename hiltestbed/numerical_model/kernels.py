@@ -31,9 +31,7 @@ SCRATCH = WORK + 3  # scratch rows of 7 that :func:`step` needs
 
 @njit(cache=True)
 def place_at_start(approach, port, q, v):
-    """``q`` (n, 2, 7) and ``v`` (n, 2, 6) at t = 0 from ``approach`` (n, 13) and ``port`` (n, 2,
-    7): target at rest, P at the origin.
-    """
+    """``q``, ``v`` at t = 0 from ``approach`` (n, 13): target at rest, P at the origin."""
     r, w, u, inverse = np.empty(3), np.empty(3), np.empty(3), np.empty(4)
     for i in range(q.shape[0]):
         start = approach[i]
@@ -77,9 +75,7 @@ def _port_state(q, v, port, pose, arm, velocity, rate):
 
 @njit(cache=True)
 def relative_motion(q, v, port, work, pose, twist):
-    """One run: ``pose`` (7,) of A in P and ``twist`` (6,) from ``q`` (2, 7), ``v`` (2, 6), ``port``
-    (2, 7); ``work`` (WORK, 7).
-    """
+    """``pose`` (7,) of A in P and ``twist`` (6,) of one run; ``work`` (WORK, 7)."""
     pose_A, pose_P = work[0], work[1]
     arm, u_A, w_A, u_P, w_P, d, s = work[2], work[3], work[4], work[5], work[6], work[7], work[8]
     _port_state(q[CHASER], v[CHASER], port[CHASER], pose_A, arm, u_A, w_A)
@@ -101,12 +97,8 @@ def load_bodies(q, port, wrench, work, tau):
     centre of mass in body axes, of ``wrench`` (6,), active on passive, in P at P's origin; ``work``
     (WORK, 7).
     """
-    attitude = work[0]
-    force = work[1]
-    torque = work[2]
-    arm = work[3]
-    point = work[4]
-    moment = work[5]
+    attitude, force, torque = work[0], work[1], work[2]
+    arm, point, moment = work[3], work[4], work[5]
     quat_mul(q[TARGET, 3:7], port[TARGET, 3:7], attitude)
     rotate(attitude, wrench[0:3], force)
     rotate(attitude, wrench[3:6], torque)
@@ -177,9 +169,7 @@ def _accelerate(mass, inertia, inverse, tau, h, v, work):
 
 @njit(cache=True)
 def newton_euler(mass, inertia, inverse, tau, h, v):
-    """Add the velocity change of a step under ``tau`` (n, 2, 6), force in inertial and torque in
-    body axes, to ``v`` (n, 2, 6).
-    """
+    """Add to ``v`` the change under ``tau`` (n, 2, 6), force inertial, torque in body axes."""
     work = np.empty((2, 3))
     for i in range(v.shape[0]):
         for b in range(2):
@@ -302,9 +292,7 @@ def solve(matrix, x, factor):
 
 @njit(cache=True)
 def wrench_at_A(wrench, position, out):
-    """``out``: a wrench given at P's origin, referred to A's origin; ``position`` (3,) of A in P.
-    ``out`` may be ``wrench``.
-    """
+    """``out``, may be ``wrench``: given at P's origin, referred to A's, at ``position`` in P."""
     for j in range(6):
         out[j] = wrench[j]
     add_moment(-1.0, position, out)

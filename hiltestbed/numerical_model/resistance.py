@@ -111,9 +111,7 @@ def resist_between(laws, q, v, port, mass, inverse, h, wrench):
 
 @njit(cache=True)
 def resist_bodies(laws, v, mass, h, tau):
-    """Add to the forces ``tau`` (n, 2, 6), in inertial axes, those that resist the motion of one
-    body along an inertial axis.
-    """
+    """Add to ``tau`` (n, 2, 6) the forces that resist one body's motion along an inertial axis."""
     for i in range(v.shape[0]):
         for f in range(laws.shape[1]):
             law = laws[i, f]

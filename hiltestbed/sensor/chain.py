@@ -157,9 +157,7 @@ def filters(lag, leak):
 
 @njit(cache=True)
 def passes(i, e):
-    """Whether the reading of sensor ``i`` is the wrench, but for noise and quantisation: see
-    :func:`condition`.
-    """
+    """Whether sensor ``i`` changes nothing but adds noise and quantises, see :func:`condition`."""
     for j in range(6):
         for c in range(6):
             if e.calibration[i, j, c] != (1.0 if c == j else 0.0):

@@ -73,9 +73,7 @@ class SensorParameters(LinkParameters):
 
 
 class Elements(NamedTuple):
-    """The elements after the delay of n sensors as arrays for the kernels, with the run as leading
-    axis.
-    """
+    """The elements after the delay of n sensors as arrays; the leading axis is the run."""
 
     calibration: Array  # (n, 6, 6)
     curve: Array  # (n, 6, 1 + 2K) packed

@@ -138,9 +138,7 @@ class CorDesigned(BlockMethod):
 
 @njit(cache=True)
 def bounce(z, turn, extra):
-    """e of ``x'' = -F(t - tau) - 2 extra x'`` (the last while x > 0) in units of 1/w; F = x + 2 z
-    x' while x > 0, never negative.
-    """
+    """e of ``x'' = -F(t - tau) - 2 extra x'`` in units of 1/w, F = x + 2 z x' >= 0 while x > 0."""
     dt = 1.0 / STEPS
     late = int(round(turn * STEPS))
     forces = np.zeros(late + 1)

@@ -180,9 +180,7 @@ def columns(m, p, used, rows):
 
 @njit(cache=True)
 def misfit(m, p, used, rows):
-    """The best coefficients of the law for the other unknowns in ``p``, and CHI; returns -2 ln of
-    likelihood times prior.
-    """
+    """The law's best coefficients for the unknowns in ``p``, and CHI; -2 ln(likelihood prior)."""
     columns(m, p, used, rows)
     a, b = np.zeros((LINEAR, LINEAR)), np.zeros(LINEAR)
     total, last = 0.0, LINEAR if used[DEEPENING] or used[STOP] else DEEPENING

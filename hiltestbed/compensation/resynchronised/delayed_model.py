@@ -292,9 +292,7 @@ def _move_back(i, m, ticks, work):
 
 @njit(cache=True, inline="always")
 def catch_up(i, m, work, rows):
-    """Advance the delayed model as far as the last reading allows; re-run it from the touch when
-    the samples have doubled.
-    """
+    """Advance to the last reading; run again from the touch when the samples have doubled."""
     state = m.state
     tick, count = state.tick[i], state.count[i]
     last = tick[DONE] - _whole(_delay(i, m, tick[DONE]))[0]

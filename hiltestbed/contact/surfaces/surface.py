@@ -131,9 +131,7 @@ PARTS = 2**HALVINGS
 
 
 class Surface(NamedTuple):
-    """A surface in the frame of its geom: one of MuJoCo's geoms (``kind``, ``sizes`` (3,)), a
-    profile or a tree of triangles.
-    """
+    """A surface in its geom's frame: a geom (``kind``, ``sizes`` (3,)), a profile or triangles."""
 
     kind: int
     sizes: Array
