@@ -2,10 +2,9 @@
 
 Two port frames: ``A`` on the active mechanism (carried by the motion platform) and ``P`` on the
 passive one (on the force sensor). Both have +z along the direction of insertion. A pose is ``(...,
-7)``: position [m] and unit quaternion ``x, y, z, w``;
-a twist ``(..., 6)``: linear [m/s] and angular [rad/s] velocity; a wrench ``(..., 6)``: force [N]
-and torque [N m]. MuJoCo writes quaternions w-first: only :func:`quat_to_mujoco` and
-:func:`quat_from_mujoco` depend on this.
+7)``: position [m] and unit quaternion ``x, y, z, w``; a twist ``(..., 6)``: linear [m/s] and
+angular [rad/s] velocity; a wrench ``(..., 6)``: force [N] and torque [N m]. MuJoCo writes
+quaternions w-first: only :func:`quat_to_mujoco` and :func:`quat_from_mujoco` depend on this.
 
 The scalar kernels work on one-dimensional slices and write into ``out``; they are compiled once and
 called from the loops over the runs of a batch, so that a single run and a run in a batch use the

@@ -247,7 +247,16 @@ def _keep(k, figures, contacts, row, lost):
     take_contacts(k, *contacts)
     if row is not None:
         write_row(k, *row)
-    return _lost(*lost)
+    # a live run is lost beyond the limit or the finite numbers, in the model or the rig
+    pose, limit, alive, diverged = lost
+    for i in range(pose.shape[0]):
+        if alive[i]:
+            if diverged[i]:
+                return True
+            for j in range(7):
+                if not abs(pose[i, j]) <= limit:
+                    return True
+    return False
 
 
 @njit(cache=True)
@@ -262,16 +271,3 @@ def write_row(k, now, rows, contact, contacts):
         for m in range(len(now)):
             for j in range(now[m].shape[1]):
                 rows[m][k, i, j] = now[m][i, j]
-
-
-@njit(cache=True)
-def _lost(pose, limit, alive, diverged):
-    """Whether a live run has left ``limit`` or the finite numbers, in the model or the rig."""
-    for i in range(pose.shape[0]):
-        if alive[i]:
-            if diverged[i]:
-                return True
-            for j in range(7):
-                if not abs(pose[i, j]) <= limit:
-                    return True
-    return False

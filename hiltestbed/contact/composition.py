@@ -80,8 +80,8 @@ class Structure:
         constant: whether all contacts are springs and dampers without friction, which MuJoCo's own
             collision computes exactly: nothing is written between steps.
         rubs: whether there is friction. latched: whether the sides may be latched. touches: whether
-            the sides touch; otherwise an external
-            wrench is applied. held: whether moving parts are kept fixed to their side.
+            the sides touch; otherwise an external wrench is applied. held: whether moving parts are
+            kept fixed to their side.
         mechanism: one of this shape.
     """
 
@@ -239,8 +239,8 @@ def weigh_contact(model: mujoco.MjModel, carrier: str, held: bool = False) -> No
     of the active side's ``carrier``.
 
     MuJoCo's soft force is f = (a_ref - a)/R with R = A (1 - d)/d. A is the sum of both bodies'
-    ``body_invweight0``, a the acceleration at
-    the contact: f is d a/A less than K x + C v. If A is MuJoCo's estimate of y, the carrier's
+    ``body_invweight0``, a the acceleration at the contact: f is d a/A less than K x + C v. If A is
+    MuJoCo's estimate of y, the carrier's
         acceleration per newton, the error is a fraction d of the force along the normal, and
         several times that across it. Here A is set to 1/kg, so that the fraction is d y, 3e-7 on a
         platform of 334 kg. Only contacts and latches use this weight: the carrier is a separate

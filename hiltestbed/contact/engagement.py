@@ -80,8 +80,8 @@ class Engagement:
             bool, whether any latch is closed. latches: all of them. legs: of an active
             ring, or None.
         pull: (n, 6) the part of the wrench on the passive side that MuJoCo's contacts do not exert,
-            in W at W's origin; pulls: whether
-            there can be any. stage: up to which MuJoCo must have computed the forward dynamics
+            in W at W's origin; pulls: whether there can be any. stage: up to which MuJoCo must have
+            computed the forward dynamics
                 before :meth:`update`.
         tilt: (n, 7) pose of S in its nominal frame.
     """
@@ -95,8 +95,8 @@ class Engagement:
         least_creep: float,
     ) -> None:
         """``laws``: (n, T + 1, PARAMETERS), the latch's last. ``dt`` [s] between two instants;
-        ``least_creep`` [m/s per N] limits the slope of friction
-        to what one step can resolve, v_0 >= least_creep mu |F|.
+        ``least_creep`` [m/s per N] limits the slope of friction to what one step can resolve, v_0
+        >= least_creep mu |F|.
         """
         n, sides = len(laws), structure.sides
         self._geometry, self._facets = sides.geometry, len(sides.facets)

@@ -2,10 +2,9 @@
 normal.
 
 Dimensions come from the MJCF (:mod:`hiltestbed.contact.sides`). All surfaces of a mechanism are
-stored in two flat arrays, so that one
-compiled kernel serves every mechanism: ``index``, for each of C candidates a row of ROW integers,
-then the links of the trees; ``values``, for each a row of VALUES numbers, then profiles, triangles
-and boxes.
+stored in two flat arrays, so that one compiled kernel serves every mechanism: ``index``, for each
+of C candidates a row of ROW integers, then the links of the trees; ``values``, for each a row of
+VALUES numbers, then profiles, triangles and boxes.
 """
 
 from __future__ import annotations

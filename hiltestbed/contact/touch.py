@@ -281,8 +281,8 @@ def axis_truth(impact: Impact, captured: bool = False) -> list[Pair | None]:
     without a linear law.
 
     A bumper has one along z; latches act on all six; a mount is in series with them. If a mechanism
-    is captured in phases, springs
-    of its own parts are in series as well: see :mod:`hiltestbed.contact.jacobian`.
+    is captured in phases, springs of its own parts are in series as well: see
+    :mod:`hiltestbed.contact.jacobian`.
 
     Args:
         captured: whether latches have closed during the run.

@@ -11,9 +11,7 @@ fitted:
   from the attitude in which it closed;
 - the torque is about the position of the site when the force acted.
 
-A facility knows all of these: the sites from the mechanism's drawing, the closing from its
-switches, the pose from its platform. A site on a moving part of the active side is taken at its
-position when the latch closed.
+A site on a moving part of the active side is taken at its position when the latch closed.
 """
 
 from __future__ import annotations

@@ -5,24 +5,17 @@ error dx of the touch point causes ``dk/k ~ -(4/pi) dx/x_max``. The samples are 
 :mod:`hiltestbed.identification.samples`: pose and force of the same instant.
 
 The recursion is in information form (L. Ljung, System Identification, 2nd ed. 1999, eq. 11.12): the
-sums of products are updated, and the estimate is solved from them. It is the usual recursion in the
-limit P0 to infinity, so that no P0 biases the estimate.
+sums of products are updated, and the estimate is solved from them.
 
 A latch that alone carries an axis is a spring and damper there; if a joint away from its reference
 point couples two axes, the partner axis enters as additional regressors, as derived below. Where
 joints, stops or surfaces with friction share the load, the residual of k and c exceeds the sensor's
 noise, and no estimate is given. Nor is one given where a latched axis hardly moves.
 
-The methods for comparison use other samples: the raw force with the pose of the same tick, or the
-force after the phase lead (the usual method in the literature), for which a delay acts as a damping
-``-k tau`` that biases c.
-
 **Coupled axes** of a captured pair. A ball joint of stiffness K at a distance L along the axis from
 the reference point resists translation there, and so couples translation along x with rotation
-about y by K L, and y with rx by -K L. Where both move, ``F = k x + c v + b`` has to explain the
-coupled force by x and v alone, and since the two motions are correlated the coupling biases k and
-c. The regression of such an axis then includes the partner axis's displacement x' and rate v', ``F
-= k x + c v + k' x' + c' v' + b``.
+about y by K L, and y with rx by -K L. The regression of such an axis then includes the partner
+axis's displacement x' and rate v', ``F = k x + c v + k' x' + c' v' + b``.
 
 With A, B, D the sums of products about the means of (x, v) with themselves, with (x', v'), and of
 (x', v') with themselves, and a, d those of the force with either, the two own regressors give t =
@@ -40,7 +33,7 @@ A^-1 B S^-1 B^T A^-1) (G. A. F. Seber, A. J. Lee, Linear Regression Analysis, 2n
 - Do they explain anything? Without coupling drop/s^2 is chi-square with 2 degrees of freedom,
   P(drop > D) = exp(-D/(2 s^2)). The test is repeated with every sample: at drop > 4 s^2 ln n the
   false-positive rate is 1/n^2, which sums to 0.13 from the eighth sample on, however long the
-  record. Any coupling is found eventually, since drop grows with n.
+  record.
 - Do they explain everything? If only springs and dampers act, the residual sum of squares over s^2
   is chi-square with m = n - 5 degrees of freedom, which exceeds m + 2 sqrt(m ln n) + 2 ln n with
   probability below 1/n (B. Laurent, P. Massart, Annals of Statistics 28, 2000, lemma 1). Above
@@ -50,10 +43,8 @@ A^-1 B S^-1 B^T A^-1) (G. A. F. Seber, A. J. Lee, Linear Regression Analysis, 2n
   s^2 sqrt(m ln n) is added to the residual sum of squares when the estimate is judged: few samples
   cannot prove the absence of friction.
 
-So the partner is never included where the noise of the force is unknown or zero. If its motion is
-fully correlated with the axis's own, it explains nothing, whatever the coupling; within rounding (S
-below 1e-10 of D, as for the axis's own two regressors) it is excluded before the division. The
-standard deviations cover the noise, not what may be hidden in it.
+So the partner is never included where the noise of the force is unknown or zero. The standard
+deviations cover the noise, not what may be hidden in it.
 """
 
 from __future__ import annotations

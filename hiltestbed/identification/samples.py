@@ -2,9 +2,8 @@
 
 The force measured at t_k acted at t_k - delay, so x and v are taken at that time, from the history
 of the pose, and pass a model of the sensor's filters: nothing is differentiated and no lead is
-needed. A sample is used if the axial force is above the noise for some time
-before and after it: at touch and at separation the force is clipped, and the filters have a memory
-of that.
+needed. A sample is used if the axial force is above the noise for some time before and after it: at
+touch and at separation the force is clipped, and the filters have a memory of that.
 
 On a plane the spring and damper act along the six components of the relative pose. In a captured
 mechanism they act along those of the latch's reference point
@@ -129,8 +128,7 @@ class ContactSamples:
         at_once: ``(n,)`` largest number of surfaces penetrated at the same tick; 0 if the pose does
             not show it.
         captures: whether the mechanism has latches. steps: ``(n,)`` number of phases of capture
-            begun. held: the latch's reference point, and
-            the changes of the mechanism.
+            begun. held: the latch's reference point, and the changes of the mechanism.
     """
 
     def __init__(
@@ -292,33 +290,10 @@ def _take(k, rig, given, past, delay, latches, held, onset, found):
                 delay[i] = min(max((crossed - 0.5) * given.tick, 0.0), onset[0])
                 onset[1][i] = True
                 break
-    _sample(k, force, captured, delay, given, past, held.origin, found.place)
-    # The sample of ``margin`` ticks ago is used if the contact lasted for as many ticks before and
-    # after it. On the six axes the mechanism must not have changed in that time, counted from when
-    # the force acted.
-    margin, flat, pending = given.margin, given.flat, past.pending
-    for i in range(gated.shape[0]):
-        needed = 2 * margin[i] + 1
-        lasted = gated[i] >= needed
-        same = held.changes[i] == 0 or (held.since[i] >= needed + math.ceil(delay[i] / given.tick))
-        found.ready[i] = lasted and same and (flat[i] or felt[i] > 0)
-        found.ready_normal[i] = lasted and given.known and felt[i] == 0
-        for j in range(7):
-            for c in range(4):
-                found.whole[i, j, c] = pending[i, (k - margin[i]) % pending.shape[1], j, c]
-
-
-@njit(cache=True)
-def _sample(k, wrench, captured, delay, given, past, origin, place):
-    """x, v, 1 at t_k - delay in contact, else 0, through the sensor's filters; the force."""
-    h, smooth, leak = given.tick, given.smooth, given.leak
-    x, v, normal, memory = past.x, past.v, past.normal, past.filter
-    pending, gated = past.pending, past.gated
-    length = x.shape[1]
-    slot = k % pending.shape[1]
-    f = np.empty(6)
-    for i in range(wrench.shape[0]):
-        ticks = delay[i] / h
+    f, pending, now, place = np.empty(6), past.pending, k % past.pending.shape[1], found.place
+    for i in range(pose.shape[0]):
+        # x, v and 1 at t_k - delay in contact, else 0, through the sensor's filters; the force read
+        ticks = delay[i] / given.tick
         whole = int(math.floor(ticks))
         part = ticks - whole
         late = (k - whole) % length  # the tick that ends at or after t_k - delay
@@ -332,18 +307,32 @@ def _sample(k, wrench, captured, delay, given, past, origin, place):
             )
             if captured[i] and j < 3:
                 place[i, j] = position
-                position -= origin[i, j]
+                position -= held.origin[i, j]
             for c in range(3):
                 u = 0.0 if gated[i] == 0 else position if c == 0 else rate if c == 1 else 1.0
-                pending[i, slot, j, c] = filtered(u, smooth[i], leak[i], memory[i, j, c])
-        pending[i, slot, NORMAL, 3] = 0.0
+                memory = past.filter[i, j, c]
+                pending[i, now, j, c] = filtered(u, given.smooth[i], given.leak[i], memory)
+        pending[i, now, NORMAL, 3] = 0.0
         for j in range(6):
-            f[j] = wrench[i, j]
+            f[j] = force[i, j]
         if captured[i]:
             add_moment(-1.0, place[i], f)
         for j in range(6):
-            pending[i, slot, j, 3] = f[j]
+            pending[i, now, j, 3] = f[j]
             if j < 3:
-                pending[i, slot, NORMAL, 3] += wrench[i, j] * (
-                    (1.0 - part) * normal[i, late, j] + part * normal[i, early, j]
+                pending[i, now, NORMAL, 3] += force[i, j] * (
+                    (1.0 - part) * past.normal[i, late, j] + part * past.normal[i, early, j]
                 )
+        # The sample of ``margin`` ticks ago is used if the contact lasted for as many ticks before
+        # and after it. On the six axes the mechanism must not have changed in that time, counted
+        # from when the force acted.
+        margin = given.margin[i]
+        needed = 2 * margin + 1
+        lasted = gated[i] >= needed
+        same = held.changes[i] == 0 or (held.since[i] >= needed + math.ceil(delay[i] / given.tick))
+        found.ready[i] = lasted and same and (given.flat[i] or felt[i] > 0)
+        found.ready_normal[i] = lasted and given.known and felt[i] == 0
+        then = (k - margin) % pending.shape[1]
+        for j in range(7):
+            for c in range(4):
+                found.whole[i, j, c] = pending[i, then, j, c]

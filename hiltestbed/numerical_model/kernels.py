@@ -4,8 +4,7 @@ The states of one run are ``q`` (2, 7), poses of the centres of mass of chaser a
 inertial axes, and ``v`` (2, 6), linear velocity in inertial axes and angular velocity in body axes.
 :class:`hiltestbed.numerical_model.model.NumericalModel` accelerates the bodies with Pinocchio; a
 predictor needs a copy that can be reset, stepped under another wrench and propagated, for which
-:func:`step` and
-:func:`carry` use the same semi-implicit step.
+:func:`step` and :func:`carry` use the same semi-implicit step.
 """
 
 from __future__ import annotations

@@ -7,9 +7,7 @@ The law, for the speed v along the axis, with s its sign::
 
 At rest, dry friction balances the other forces, up to its level. Over a tick, with the other forces
 held constant, the motion is integrated
-exactly: an exponential until the body stops, then rest or another exponential. A body of any mass
-is therefore held without creep or chatter, and neither viscous friction nor the instant of a stop
-depends on the step size; only the Stribeck factor is evaluated at the speed before the tick.
+exactly: an exponential until the body stops, then rest or another exponential.
 """
 
 from __future__ import annotations

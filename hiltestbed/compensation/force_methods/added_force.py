@@ -7,8 +7,7 @@ The first two are ``F = F_meas + k_v x + b_v v`` while pz > 0.
 D. Choukroun, "Analytical and experimental stability investigation of a hardware-in-the-loop
 satellite docking simulator", Proc. IMechE G 229, 2015; arXiv 1309.3512): a virtual force is
 superposed on the measured one and tuned until the contact behaves as desired. To first order a
-delay acts as a damping -k tau, which ``b_v = k tau`` cancels. The simulated contact is then partly
-that of the tuning, not of the hardware.
+delay acts as a damping -k tau, which ``b_v = k tau`` cancels.
 
 :class:`CorDesigned` is a damper that is designed for a desired coefficient of restitution (e) of
 the bounce (S. Abiko, Y. Satake, X. Jiang, T. Tsujita, M. Uchiyama, "Delay time compensation based
@@ -17,15 +16,13 @@ after K. Osaki, A. Konno, M. Uchiyama, "Delay time compensation for a hybrid sim
 Robotics 24, 2010: during the delay the motion is uniform, then the contact acts late; the
 compensation is found by iteration on that model). Here the contact with the design stiffness,
 damping and reduced mass is simulated with the delay, and the damper is found that gives the desired
-e, by default the e of the contact without delay. The design covers one mode and one contact,
-without friction, lever arms or a second contact.
+e, by default the e of the contact without delay.
 
 :class:`PassivityControl` is the time-domain observer and controller (B. Hannaford, J.-H. Ryu,
 "Time-domain passivity control of haptic interfaces", IEEE T-RA 18, 2002; for contact on such rigs
 M. De Stefano, J. Artigas, C. Secchi et al., EPOS and OOS-SIM, T-RO 2020): ``E_k = sum of h F_used .
 v``, the energy that the simulated contact has taken from the relative motion, must not be negative;
-when it is, ``alpha = -E/(h v^2)`` makes it zero. This is a safety net: it acts only once there is
-excess energy, and any restitution up to 1 passes, correct or not.
+when it is, ``alpha = -E/(h v^2)`` makes it zero.
 
 :class:`NormalisedPassivity` acts before that (C. Insam, L. D. H. Peiris, D. J. Rixen,
 "Normalized passivity control for hardware-in- the-loop with contact", Int. J. Dynamics and Control

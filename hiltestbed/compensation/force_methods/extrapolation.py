@@ -8,8 +8,7 @@ ahead:
 
 (T. Horiuchi, M. Inoue, T. Konno, Y. Namita, "Real-time hybrid experimental system with actuator
 delay compensation and its application to a piping system with energy absorber", Earthquake Eng.
-Struct. Dyn. 28, 1999, where it extrapolates the displacement). It needs a force that is smooth over
-p delays, which the onset of a contact is not.
+Struct. Dyn. 28, 1999, where it extrapolates the displacement).
 
 The Kalman predictor takes the force for a motion of constant second derivative that white noise of
 density q [N^2/s^5] drives, measured with white noise of density r [N^2 s]. Of that model the Kalman
@@ -23,8 +22,7 @@ Riccati equation, and
 
 of the estimate at the stamp of the reading. Only q/r counts: as long as (q/r)^(1/6) is far below
 the rate, the poles of the filter lie on a Butterworth circle of this radius, which ``bandwidth``
-sets. A high bandwidth follows the edge of a contact and lets noise through, a low one smooths both;
-the leads of first and second order fix that trade by their pole T2.
+sets.
 """
 
 from __future__ import annotations

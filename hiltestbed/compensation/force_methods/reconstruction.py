@@ -8,15 +8,11 @@ is the contact (O. J. M. Smith, "Closer control of loops with dead time", Chem. 
 1957). Until there is an estimate, the force passes the first-order phase lead; with ``lead_rest:
 true`` so does the part of it that the Smith predictor's model does not explain.
 
-The impulse of an early wrong estimate is cancelled one delay later, but at another speed, so that
-its energy is not.
-
 After capture all six axes push and pull at once, so there is no single line of action along which
 to predict. On each axis of the latch's reference point ``F = F_meas + k (x - x') + c (v - v')``
 with k and c as identified so far, x and v the pose and twist that the rig reached, now and (primed)
 when the measured force acted; torques are about the reference point. An axis without an estimate
-passes the first-order phase lead. A linear, identified contact is reconstructed exactly, and the
-instant of touch is not needed.
+passes the first-order phase lead.
 """
 
 from __future__ import annotations

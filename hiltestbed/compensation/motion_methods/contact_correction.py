@@ -4,8 +4,7 @@ v_act)`` while in contact.
 k and c are identified in the loop (T. Ren, C. Qi, F. Gao, X. Zhao, Q. Sun, "Compensation of
 velocity divergence caused by dynamic response for hardware-in-the-loop docking simulator",
 IEEE/ASME Trans. Mechatronics 2017; F. He et al., Chin. J. Mech. Eng. 35:149,
-2022). The platform keeps its lag; the numerical model gets the force that would act without the
-lag, provided that the contact is a spring and damper.
+2022).
 """
 
 from __future__ import annotations

@@ -16,11 +16,9 @@ along the slip of the contact point, and viscous at lower slip speeds. mu is the
 tangential force along the slip on the normal force.
 
 k, c and x0 are the Bayesian least-squares estimate of the measured F on G.x and G.v *at the time
-the force acted*, with an intercept. Prior
-knowledge enters as a prior: an earlier contact's k, c and touch point or, without an earlier
-contact, that the touch point lies within
-the tick before the first force. One contact is enough: the estimate is available about four samples
-after the touch.
+the force acted*, with an intercept. Prior knowledge enters as a prior: an earlier contact's k, c
+and touch point or, without an earlier contact, that the touch point lies within the tick before the
+first force. One contact is enough: the estimate is available about four samples after the touch.
 """
 
 from __future__ import annotations

@@ -492,13 +492,32 @@ def _evidence(m, p, used, found, work):
 def _grown(m, parent, used, new, work, out):
     """The model that has the unknown ``new`` more than ``parent``, into ``out``."""
     out[COST] = np.inf
-    start = np.empty(SOLUTION)
+    start, trial = np.empty(SOLUTION), np.empty(SOLUTION)
+    latest = m.felt - (parent[ONSET] - 1.0) / m.substeps
+    deepest = _deepest(m, parent) if new == STOP else 0.0
+    ways = 2 if used[DELAY] else 1
+    count = 4 * LATE + 1 if new == DELAY else LAGS * ways if new == LAG else KNOTS
     for digital in range(2 if new == LAG else 1):
         _scatter(m, parent, used, work[0])
         copied(parent, start)
         if new == LAG:
             start[DIGITAL] = digital
-        _begin(m, start, used, new, work[0])
+        # the best of some values of the new unknown
+        begin, best = start.copy(), np.inf
+        for q in range(count if new in (DELAY, LAG, STOP) else 0):
+            copied(begin, trial)
+            if new == DELAY:
+                trial[DELAY] = latest - 0.25 * q
+            elif new == LAG:
+                trial[LAG] = 0.25 * 2.0 ** (q // ways)
+                if q % ways == 1:
+                    trial[DELAY] -= trial[LAG] - parent[LAG]
+            else:
+                trial[KNOT] = (SHALLOW + (DEEP - SHALLOW) * q / (KNOTS - 1)) * deepest
+            found = misfit(m, trial, used, work[0]) if trial[DELAY] >= 1.0 else np.inf
+            if found < best:
+                best = found
+                copied(trial, start)
         _settled(m, start, used, work)
         if start[COST] < out[COST]:
             copied(start, out)
@@ -512,30 +531,6 @@ def _settled(m, p, used, work):
     if before > 0.0 or p[SCATTER] > 0.0:  # the weights are others
         best = _descend(m, p, used, work)
     _evidence(m, p, used, best, work)
-
-
-@njit(cache=True)
-def _begin(m, p, used, new, rows):
-    """The best of some values of the unknown ``new``, into ``p``."""
-    trial, parent, best = np.empty(SOLUTION), p.copy(), np.inf
-    latest = m.felt - (parent[ONSET] - 1.0) / m.substeps
-    deepest = _deepest(m, parent) if new == STOP else 0.0
-    ways = 2 if used[DELAY] else 1
-    count = 4 * LATE + 1 if new == DELAY else LAGS * ways if new == LAG else KNOTS
-    for q in range(count if new in (DELAY, LAG, STOP) else 0):
-        copied(parent, trial)
-        if new == DELAY:
-            trial[DELAY] = latest - 0.25 * q
-        elif new == LAG:
-            trial[LAG] = 0.25 * 2.0 ** (q // ways)
-            if q % ways == 1:
-                trial[DELAY] -= trial[LAG] - parent[LAG]
-        else:
-            trial[KNOT] = (SHALLOW + (DEEP - SHALLOW) * q / (KNOTS - 1)) * deepest
-        found = misfit(m, trial, used, rows) if trial[DELAY] >= 1.0 else np.inf
-        if found < best:
-            best = found
-            copied(trial, p)
 
 
 @njit(cache=True)

@@ -23,12 +23,11 @@ The delay that the scenario states need not be right: delay and contact are fitt
 (:mod:`~hiltestbed.compensation.resynchronised.contact_fit`), and a delay that the samples refuse is
 replaced.
 
-No force is differentiated, and the impulse is exact. Once a first contact is identified, the
-delayed model is re-run from the touch with the contact law, which removes the effect of the first
-tau, in which no force had been measured yet. The method was developed for this project; the idea of
-correcting a past state by a late measurement and predicting from it is that of filters with delayed
-measurements (H. Alexander, "State estimation for distributed systems with sensing delay", SPIE
-1470, 1991).
+Once a first contact is identified, the delayed model is re-run from the touch with the contact law,
+which removes the effect of the first tau, in which no force had been measured yet. The method was
+developed for this project; the idea of correcting a past state by a late measurement and predicting
+from it is that of filters with delayed measurements (H. Alexander, "State estimation for
+distributed systems with sensing delay", SPIE 1470, 1991).
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ class Tree(NamedTuple):
         corners: (nf, 3, 3) [m]. normals: (nf, 7, 3) of the face, its edges (01, 12, 20) and its
             corners.
         boxes: (nn, 15) centre, axes (rows of a rotation) and half sizes of the box around a node,
-            along the principal axes of its
-            triangles: axis-aligned boxes would fit the long thin triangles of a mesh of revolution
+            along the principal axes of its triangles: axis-aligned boxes would fit the long thin
+            triangles of a mesh of revolution
                 badly.
         links: (nn, 2) both children; for a leaf -1 minus the index of its first triangle, and their
             number.

@@ -3,8 +3,7 @@
 **Instrumental variables**, in a batch: the reference method for a noisy pose. Noise in the
 regressors x and v biases k and c towards zero. Instruments z that are correlated with x and v but
 not with their noise remove the bias: ``theta = (Z^T Phi)^-1 Z^T y`` (L. Ljung, System
-Identification, 2nd ed. 1999, section 7.6). Here z is the regressor of some ticks earlier. Without
-pose noise this is least squares with slightly more scatter.
+Identification, 2nd ed. 1999, section 7.6). Here z is the regressor of some ticks earlier.
 
 **A Hunt-Crossley contact** in a single stage, ``F = k x^n (1 + alpha v)``.
 
@@ -14,9 +13,7 @@ linear in (ln k, n, alpha) (A. Haddadi, K. Hashtrudi-Zaad, "Real-time identifica
 Hunt-Crossley dynamic models of contact environments", IEEE T-RO 28(3), 2012). The logarithm needs
 the touch point: x is measured from the nominal one. The reported stiffness and damping are those of
 the linear spring and damper with the same force at the largest penetration X and the same energy
-loss: k X^(n-1), and ``alpha F(X)`` times ``<x v^2>/(X <v^2>) = 4/(3 pi)`` of a half sine. On a
-contact that is a linear spring and damper the force step at touch, ``c v0``, does not fit the law:
-the estimate of n is below 1.
+loss: k X^(n-1), and ``alpha F(X)`` times ``<x v^2>/(X <v^2>) = 4/(3 pi)`` of a half sine.
 
 **An adaptive Kalman filter**: the state (k, c, b) of each axis follows a random walk; the force is
 the observation, ``F = k x + c v + b``. The variance of the force noise is estimated from the
