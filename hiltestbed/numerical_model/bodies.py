@@ -76,22 +76,6 @@ def rest_inertia(
     )
 
 
-def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
-    """Linear [kg m/s] and angular [N m s] momentum of both bodies together, about the inertial
-    origin.
-
-    Args:
-        mass: ``(..., 2)``. inertia: ``(..., 2, 3, 3)``. q: ``(..., 2, 7)``. v: ``(..., 2, 6)``.
-
-    Returns:
-        ``(..., 6)``.
-    """
-    linear = mass[..., None] * v[..., :3]
-    spin = np.einsum("...ij,...j->...i", rotation_matrix(q[..., 3:]) @ inertia, v[..., 3:])
-    angular = np.cross(q[..., :3], linear) + spin
-    return np.concatenate([linear.sum(axis=-2), angular.sum(axis=-2)], axis=-1)
-
-
 def mobility(spacecraft: Spacecraft) -> Array:
     """``(6, 6)`` M^-1: relative acceleration at A per wrench there, in P, at the nominal touch."""
     return _mobility(spacecraft.chaser) + _mobility(spacecraft.target)
