@@ -156,6 +156,8 @@ def force_of(scenarios: Sequence[ScenarioLike], method: type[Force]) -> list[For
 class BlockMethod(ForceMethod):
     """Base of the methods that correct the wrench and need no more than a :class:`ForcePath`."""
 
+    reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
+
     @classmethod
     def start(cls, scenarios: Sequence[ScenarioLike], model: NumericalModel) -> ForceBlock:
         delay = np.array([s.sensor.delay for s in scenarios])

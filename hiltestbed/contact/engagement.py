@@ -99,7 +99,6 @@ class Engagement:
         >= least_creep mu |F|.
         """
         n, sides = len(laws), structure.sides
-        self._geometry, self._facets = sides.geometry, len(sides.facets)
         pairs = (*sides.facets, *sides.native)
         self.parameters = laws
         neutral = ContactParameters(1.0).row()
@@ -107,8 +106,8 @@ class Engagement:
         self.linear = np.all(laws[:, :-1, LINEAR] == neutral[LINEAR], axis=-1)
         self._live = np.ones((n, len(pairs)), dtype=bool)
         self.tilt = tilts(self.parameters[:, -1])
-        self._bodies = _Bodies(batch, structure, self.tilt)
-        self._pairs = _Pairs(batch, structure, self.parameters)
+        self._bodies, self._parts = _carried(batch, structure, self.tilt)
+        self._inputs, gain, self._reading = _inputs(batch, structure, laws)
         self.state = np.zeros((n, len(pairs) + 1, STATES))
         self.met = np.zeros((n, len(pairs), MET))
         self.wrench = np.zeros((n, 6))
@@ -123,7 +122,13 @@ class Engagement:
         self.legs = None if ring is None else RingLegs(batch, ring, n, dt)
         self._captured = structure.mechanism.captured
         self.latched = np.zeros(n, dtype=bool)
-        self._updated = Call(_update, (GIVEN,) * 4, *self._parts(dt, least_creep))
+        own = Laws(dt, least_creep, self.parameters, self.linear, self._live, gain)
+        felt = FacetState(self.state, self.met, self.wrench, self.pull, self.touching)
+        bodies, inputs, count = self._bodies, self._inputs, len(sides.facets)
+        facets = (sides.geometry, own, bodies, inputs, felt) if count else None
+        native = (count, self._reading, own, inputs, felt) if sides.native else None
+        given = self._parts, felt, facets, native, self.latches.holding(dt, bodies), self.latched
+        self._updated = Call(_update, (GIVEN,) * 4, bodies, *given)
         k = self.latches.number(LATCH) if structure.latched else None
         self._relative = None if k is None else (self.latches.pose[:, k], self.latches.twist[:, k])
         moves = bool(sides.native or sides.frames)
@@ -139,32 +144,15 @@ class Engagement:
         if self.legs is not None:
             self.legs.reset()
 
-    def _parts(self, dt: float, least_creep: float) -> tuple[Any, ...]:
-        """What :func:`_update` is given after the poses; None for what the sides have not."""
-        b, p = self._bodies, self._pairs
-        laws = Laws(dt, least_creep, self.parameters, self.linear, self._live, p.gain)
-        felt = FacetState(self.state, self.met, self.wrench, self.pull, self.touching)
-        facets = (self._geometry, laws, b.bodies, p.inputs, felt) if self._facets else None
-        native = p.reading.shape[1] > 0
-        return (
-            b.bodies,
-            b.parts,
-            felt,
-            facets,
-            (self._facets, p.reading, laws, p.inputs, felt) if native else None,
-            self.latches.holding(dt, b.bodies),
-            self.latched,
-        )
-
     @property
     def frames(self) -> Array:
         """(n, F, 7) poses in W of A, S and moving parts, at the last update."""
-        return self._bodies.bodies.frames
+        return self._bodies.frames
 
     @property
     def motions(self) -> Array:
         """(n, F, 6) their twists."""
-        return self._bodies.bodies.motions
+        return self._bodies.motions
 
     def update(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
         """Update MuJoCo's contacts, once per instant, for poses and twists in W of A and of S."""
@@ -201,62 +189,56 @@ class Engagement:
         return self._relative
 
 
-class _Bodies:
-    """Poses and twists of the frames; MuJoCo's indices and arrays of moving parts, if any."""
-
-    def __init__(self, batch: Batch, structure: Structure, tilt: Array) -> None:
-        n, m, names = len(tilt), batch.model, structure.sides.frames
-        count = FRAMES + len(names)
-        carry = np.zeros((n, count, 7))
-        carry[..., 6] = 1.0
-        for f, (prefix, port) in enumerate(((ACTIVE, "A"), (PASSIVE, "P"))):
-            site = m.site(prefix + port)
-            carry[:, f, :3], carry[:, f, 3:] = site.pos, site.quat[[1, 2, 3, 0]]
-        for i in range(n):
-            q = np.empty(4)
-            interpreted(quat_mul)(carry[i, S, 3:7], tilt[i, 3:7], q)
-            carry[i, S, 3:7] = q
-        self.bodies = CarriedFrames(np.zeros((n, count, 7)), np.zeros((n, count, 6)), carry)
-        ids = np.array([m.body(PREFIXES[side] + body).id for side, body in names], dtype=np.int64)
-        self.parts: tuple[Any, ...] | None = None
-        if names:
-            roots = m.body_rootid[ids].astype(np.int64)
-            columns = {"xpos": 3, "xquat": 4, "cvel": 6, "subtree_com": 3}
-            read = [batch.bind(name).reshape(n, -1, size) for name, size in columns.items()]
-            self.parts = (ids, roots, *read)
+def _carried(batch: Batch, structure: Structure, tilt: Array) -> tuple[CarriedFrames, Any]:
+    """The frames; MuJoCo's indices and arrays of moving parts, None without any."""
+    n, m, names = len(tilt), batch.model, structure.sides.frames
+    count = FRAMES + len(names)
+    carry = np.zeros((n, count, 7))
+    carry[..., 6] = 1.0
+    for f, (prefix, port) in enumerate(((ACTIVE, "A"), (PASSIVE, "P"))):
+        site = m.site(prefix + port)
+        carry[:, f, :3], carry[:, f, 3:] = site.pos, site.quat[[1, 2, 3, 0]]
+    for i in range(n):
+        q = np.empty(4)
+        interpreted(quat_mul)(carry[i, S, 3:7], tilt[i, 3:7], q)
+        carry[i, S, 3:7] = q
+    bodies = CarriedFrames(np.zeros((n, count, 7)), np.zeros((n, count, 6)), carry)
+    if not names:
+        return bodies, None
+    ids = np.array([m.body(PREFIXES[side] + body).id for side, body in names], dtype=np.int64)
+    columns = {"xpos": 3, "xquat": 4, "cvel": 6, "subtree_com": 3}
+    read = [batch.bind(name).reshape(n, -1, size) for name, size in columns.items()]
+    return bodies, (ids, m.body_rootid[ids].astype(np.int64), *read)
 
 
-class _Pairs:
-    """MuJoCo's pairs: their arrays, ``gain`` (n, T) g [1/kg], and readings of native ones."""
-
-    def __init__(self, batch: Batch, structure: Structure, parameters: Array) -> None:
-        m, sides = batch.model, structure.sides
-        facets, native = range(len(sides.facets)), range(len(sides.native))
-        names = [*(f"facet_{k}" for k in facets), *(f"native_{k}" for k in native)]
-        pairs = [m.pair(name).id for name in names]
-        geoms = [(m.geom(f"facet_{k}").id, m.geom(f"ball_{k}").id) for k in facets]
-        geoms += [(-1, -1)] * len(sides.native)
-        ids = np.array(
-            [(pair, *g) for pair, g in zip(pairs, geoms, strict=True)], dtype=np.int64
-        ).reshape(len(pairs), 3)
-        bodies = (
-            m.geom_bodyid[np.stack([m.pair_geom1[pairs], m.pair_geom2[pairs]])]
-            if pairs
-            else np.zeros((2, 0), dtype=int)
+def _inputs(batch: Batch, structure: Structure, laws: Array) -> tuple[Inputs, Array, Array]:
+    """MuJoCo's arrays of the pairs; (n, T) g [1/kg]; (n, READ native pairs) their sensors."""
+    m, sides = batch.model, structure.sides
+    facets, native = range(len(sides.facets)), range(len(sides.native))
+    names = [*(f"facet_{k}" for k in facets), *(f"native_{k}" for k in native)]
+    pairs = [m.pair(name).id for name in names]
+    geoms = [(m.geom(f"facet_{k}").id, m.geom(f"ball_{k}").id) for k in facets]
+    geoms += [(-1, -1)] * len(sides.native)
+    ids = np.array(
+        [(pair, *g) for pair, g in zip(pairs, geoms, strict=True)], dtype=np.int64
+    ).reshape(len(pairs), 3)
+    bodies = (
+        m.geom_bodyid[np.stack([m.pair_geom1[pairs], m.pair_geom2[pairs]])]
+        if pairs
+        else np.zeros((2, 0), dtype=int)
+    )
+    arrays = ("geom_pos", "geom_quat", "pair_solref", "pair_solreffriction")
+    inputs = Inputs(ids, *(batch.expand(name) for name in arrays))
+    inputs.friction[:, pairs] = 2.0 * NO_DAMPING
+    if structure.rubs:
+        batch.expand("pair_friction")[:, pairs, :2] = WIDE * np.maximum(
+            laws[:, :-1, FRICTION, None], 1e-4
         )
-        self.gain = np.tile(inverse_mass(m, bodies), (len(parameters), 1))
-        arrays = ("geom_pos", "geom_quat", "pair_solref", "pair_solreffriction")
-        self.inputs = Inputs(ids, *(batch.expand(name) for name in arrays))
-        self.inputs.friction[:, pairs] = 2.0 * NO_DAMPING
-        if structure.rubs:
-            batch.expand("pair_friction")[:, pairs, :2] = WIDE * np.maximum(
-                parameters[:, :-1, FRICTION, None], 1e-4
-            )
-        if (parameters[:, :-1, OFFSET] < 0.0).any() and sides.native:
-            batch.expand("pair_margin")[:, pairs] = np.maximum(-parameters[:, :-1, OFFSET], 0.0)
-        reading = batch.bind("sensordata")
-        first = int(m.sensor("native_0").adr[0]) if sides.native else 0
-        self.reading = reading[:, first : first + READ * len(sides.native)]
+    if (laws[:, :-1, OFFSET] < 0.0).any() and sides.native:
+        batch.expand("pair_margin")[:, pairs] = np.maximum(-laws[:, :-1, OFFSET], 0.0)
+    first = int(m.sensor("native_0").adr[0]) if sides.native else 0
+    reading = batch.bind("sensordata")[:, first : first + READ * len(sides.native)]
+    return inputs, np.tile(inverse_mass(m, bodies), (len(laws), 1)), reading
 
 
 @njit(cache=True)

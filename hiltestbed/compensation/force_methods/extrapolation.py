@@ -37,7 +37,7 @@ from pydantic import Field
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.interfaces import ForceBlock, ForcePath, KernelBlock
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.settings import BlockMethod, Input
+from hiltestbed.compensation.settings import BlockMethod
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import Positive
 from hiltestbed.frames import Array
@@ -54,7 +54,6 @@ class Polynomial(BlockMethod):
     order: Annotated[int, Field(ge=1, le=5)] = Field(
         default=3, description="Order of the polynomial"
     )
-    reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
     removes_delay: ClassVar[bool] = True
 
     @classmethod
@@ -95,7 +94,6 @@ class Kalman(BlockMethod):
     bandwidth: Positive = Field(
         default=150.0, description="Radius of the filter's poles over 2 pi [Hz]"
     )
-    reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
     removes_delay: ClassVar[bool] = True
 
     @classmethod

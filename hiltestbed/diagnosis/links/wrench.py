@@ -452,8 +452,7 @@ class WrenchLink(ModelLink):
         width = lane.sensor.deadzone
         if not width.any():
             return np.zeros((run.rows, 6))
-        through = lane.sensor.copy()
-        through.deadzone = np.zeros(6)
+        through = replace(lane.sensor, deadzone=np.zeros(6))
         force = replay_wrench(self._felt, [lane._replace(sensor=through)], self.reads.grid)[0][
             : run.rows
         ]
