@@ -192,7 +192,8 @@ def load(modules: Sequence[str] = ()) -> None:
     """
     asked = [
         *os.environ.get(ENVIRONMENT, "").split(os.pathsep),
-        *(_absolute(name) for name in modules),
+        # a .py file with its absolute path: found from any folder, and loaded only once
+        *(str(Path(name).resolve()) if name.endswith(".py") else name for name in modules),
     ]
     wanted = [name for name in dict.fromkeys(asked) if name and name not in _LOADED]
     points = [] if _POINTS_READ else sorted(entry_points(group=GROUP), key=lambda p: p.name)
@@ -211,11 +212,6 @@ def load(modules: Sequence[str] = ()) -> None:
 
 
 load_plugins = load  # its public name in the package
-
-
-def _absolute(name: str) -> str:
-    """A .py file with its absolute path: found from any folder, and loaded only once."""
-    return str(Path(name).resolve()) if name.endswith(".py") else name
 
 
 def is_users(cls: type) -> bool:

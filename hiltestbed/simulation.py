@@ -107,22 +107,20 @@ def _compared(
     if not finer:
         return {}
     halved = simulate(list(finer.values()), until_parted=True, nthread=nthread).figures
-    return {
-        name: (_unconverged(references[name], found[name].cor, figures.cor),)
-        for name, figures in zip(finer, halved, strict=True)
-        if not converged(found[name].cor, figures.cor)
-    }
-
-
-def _unconverged(scenario: Scenario, cor: float | None, halved: float | None) -> str:
-    """The warning that a reference's rebound ``cor`` differs with the physics step ``halved``."""
-    before, after = ("none" if e is None else f"{e:.4g}" for e in (cor, halved))
-    enough = sufficient_rate(scenario.impact, scenario.rate)
-    return (
-        f"the physics step of {1e3 / scenario.physics_rate:.3g} ms is too long for this contact: "
-        f"half of it changes the coefficient of restitution of the reference from {before} to "
-        f"{after}; use a physics_rate of {enough:g} Hz or leave it out"
-    )
+    out = {}
+    for (name, scenario), figures in zip(finer.items(), halved, strict=True):
+        if converged(found[name].cor, figures.cor):
+            continue
+        pair = found[name].cor, figures.cor
+        before, after = ("none" if e is None else f"{e:.4g}" for e in pair)
+        step = 1e3 / references[name].physics_rate
+        enough = sufficient_rate(scenario.impact, scenario.rate)
+        out[name] = (
+            f"the physics step of {step:.3g} ms is too long for this contact: half of it changes "
+            f"the coefficient of restitution of the reference from {before} to {after}; use a "
+            f"physics_rate of {enough:g} Hz or leave it out",
+        )
+    return out
 
 
 def simulate(

@@ -116,11 +116,6 @@ class MotionMethod(Strictly):
             else {"kind": "feedforward" if self.feeds else "none"}
         )
 
-    @property
-    def depends_on_measurements(self) -> bool:
-        """Whether it changes the command by measurements, unlike the rig's response."""
-        return bool(self.reads) and not self.corrects_force
-
     @classmethod
     def start(cls, scenarios: Sequence[ScenarioLike]) -> PoseBlock | None:
         """The method for ``n`` runs; None if the pose is commanded unchanged."""

@@ -59,7 +59,11 @@ class Mounts:
         )
         if springs is None:
             return
-        middle, mass = centre_of(model, self.body)
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        away = data.subtree_com[self.body] - data.xpos[self.body]
+        middle = data.xmat[self.body].reshape(3, 3).T @ away
+        mass = float(model.body_subtreemass[self.body])
         self.balance[:, :3] = -np.array(model.opt.gravity) * mass
         joints = [model.joint(f"mount_{axis}") for axis in AXES]
         adr = np.array([joints[0].qposadr[0], joints[0].dofadr[0]])
@@ -136,12 +140,3 @@ def _centre(q, offset, centre):
     rotate(_turned(q)[1], offset, centre)
     for j in range(3):
         centre[j] += q[j]
-
-
-def centre_of(model: mujoco.MjModel, body: int) -> tuple[Array, float]:
-    """Centre of mass (3,) [m] of a body with all that it carries, in its frame; its mass [kg]."""
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    return data.xmat[body].reshape(3, 3).T @ (data.subtree_com[body] - data.xpos[body]), float(
-        model.body_subtreemass[body]
-    )

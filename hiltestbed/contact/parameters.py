@@ -104,7 +104,7 @@ class ContactParameters(LinkParameters):
 
 def believed_contacts(mechanism: Mechanism) -> list[ContactParameters]:
     """The nominal contact of each rule of a mechanism, and last of its latch, without effects."""
-    contacts = (*mechanism.contacts(), mechanism.latch_contact())
+    contacts = (*mechanism.contacts(), mechanism.contact)
     return [ContactParameters.believed(c) for c in contacts]
 
 

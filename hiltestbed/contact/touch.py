@@ -135,7 +135,7 @@ def first_touch(impact: Impact) -> Touch | None:
         return None
     pose[2] += TOGETHER
     meeting.deepest(pose)
-    pair = _of_facets(impact, meeting) if isinstance(meeting, Meeting) else meeting.pair(pose[:3])
+    pair = meeting.pair(impact, pose[:3])
     if pair is None or not pair[0][2, 2] > 0.0:
         return None
     stiffness, damping = pair
@@ -146,7 +146,7 @@ def first_touch(impact: Impact) -> Touch | None:
         float(stiffness[2, 2]) / share,
         float(damping[2, 2]) / share,
         int(np.count_nonzero(meeting.depth > 0.0)),
-        0.0 if isinstance(meeting, Meeting) else meeting.fastest(),
+        meeting.fastest(),
     )
 
 
@@ -186,20 +186,6 @@ def _reached(approach: Approach, meeting: Meeting | _Parts, pose: Array) -> bool
     return True
 
 
-def _of_facets(impact: Impact, meeting: Meeting) -> tuple[Array, Array]:
-    """(6, 6) stiffness and damping of the facets that touch."""
-    stiffness, damping, inverse = np.zeros((6, 6)), np.zeros((6, 6)), impact.mobility
-    rules, laws = impact.sides.rules, impact.laws
-    for c in np.flatnonzero(meeting.depth > 0.0):
-        push, arm = meeting.normal[c], meeting.point[c] - meeting.frames[0, :3]
-        row = np.concatenate([push, np.cross(arm, push)])
-        speed = abs(float(push @ np.asarray(impact.approach.velocity)))
-        k, d = acting_law(laws[rules[c]], 1.0 / float(row @ inverse @ row), speed)
-        stiffness += k * np.outer(row, row)
-        damping += d * np.outer(row, row)
-    return stiffness, damping
-
-
 class Meeting:
     """Penetration of the surfaces of a mechanism at rest, from the pose of A in P.
 
@@ -224,6 +210,23 @@ class Meeting:
         self.frames[0] = pose
         self._meet(*self._met)
         return float(self.depth.max())
+
+    def pair(self, impact: Impact, place: Array) -> tuple[Array, Array] | None:
+        """(6, 6) stiffness and damping about A's origin ``place`` (3,) in the present state."""
+        stiffness, damping, inverse = np.zeros((6, 6)), np.zeros((6, 6)), impact.mobility
+        rules, laws = impact.sides.rules, impact.laws
+        for c in np.flatnonzero(self.depth > 0.0):
+            push, arm = self.normal[c], self.point[c] - place
+            row = np.concatenate([push, np.cross(arm, push)])
+            speed = abs(float(push @ np.asarray(impact.approach.velocity)))
+            k, d = acting_law(laws[rules[c]], 1.0 / float(row @ inverse @ row), speed)
+            stiffness += k * np.outer(row, row)
+            damping += d * np.outer(row, row)
+        return stiffness, damping
+
+    def fastest(self) -> float:
+        """[rad/s] of the moving parts in the present state: there are none."""
+        return 0.0
 
 
 class _Parts:
@@ -263,14 +266,14 @@ class _Parts:
         self._engagement.update(self._pose, self._still, self._port, self._still)
         return float(self.depth.max())
 
-    def pair(self, place: Array) -> tuple[Array, Array] | None:
-        """(6, 6) stiffness and damping about A's origin ``place`` (3,) in the present state."""
+    def pair(self, impact: Impact, place: Array) -> tuple[Array, Array] | None:
+        """As for :class:`Meeting`."""
         from hiltestbed.contact.jacobian import pair_at
 
         return pair_at(self._engagement, self._batch, self._made_of, 0, place)
 
     def fastest(self) -> float:
-        """[rad/s] of the moving parts in the present state."""
+        """As for :class:`Meeting`."""
         from hiltestbed.contact.jacobian import fastest
 
         return fastest(self._engagement, self._batch, self._made_of, 0)
