@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import interpreted, njit
+from hiltestbed.contact import parameters as cp
 from hiltestbed.contact.composition import (
     ACTIVE,
     LATCH,
@@ -52,14 +53,7 @@ from hiltestbed.contact.geometry import PASSIVE as S
 from hiltestbed.contact.latches import Latches, hold
 from hiltestbed.contact.law import STATES
 from hiltestbed.contact.legs import RingLegs
-from hiltestbed.contact.parameters import (
-    ADHESION,
-    FRICTION,
-    LINEAR,
-    MODE,
-    OFFSET,
-    ContactParameters,
-)  # fmt: skip
+from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.contact.wrench import tilts
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_mul, rotate_back
@@ -103,7 +97,7 @@ class Engagement:
         self.parameters = laws
         neutral = ContactParameters(1.0).row()
         # whether only a linear spring and damper act along the normal
-        self.linear = np.all(laws[:, :-1, LINEAR] == neutral[LINEAR], axis=-1)
+        self.linear = np.all(laws[:, :-1, cp.LINEAR] == neutral[cp.LINEAR], axis=-1)
         self._live = np.ones((n, len(pairs)), dtype=bool)
         self.tilt = tilts(self.parameters[:, -1])
         self._bodies, self._parts = _carried(batch, structure, self.tilt)
@@ -114,8 +108,8 @@ class Engagement:
         self.pull = np.zeros((n, 6))
         self.touching = np.zeros(n, dtype=bool)
         self.pulls = bool(
-            (self.parameters[:, :-1, ADHESION] > 0.0).any()
-            or (self.parameters[:, :-1, MODE] > 0.0).any()
+            (self.parameters[:, :-1, cp.ADHESION] > 0.0).any()
+            or (self.parameters[:, :-1, cp.MODE] > 0.0).any()
         )
         self.latches = Latches(batch, structure, self.parameters[:, -1])
         ring = structure.mechanism.actuated()
@@ -232,10 +226,10 @@ def _inputs(batch: Batch, structure: Structure, laws: Array) -> tuple[Inputs, Ar
     inputs.friction[:, pairs] = 2.0 * NO_DAMPING
     if structure.rubs:
         batch.expand("pair_friction")[:, pairs, :2] = WIDE * np.maximum(
-            laws[:, :-1, FRICTION, None], 1e-4
+            laws[:, :-1, cp.FRICTION, None], 1e-4
         )
-    if (laws[:, :-1, OFFSET] < 0.0).any() and sides.native:
-        batch.expand("pair_margin")[:, pairs] = np.maximum(-laws[:, :-1, OFFSET], 0.0)
+    if (laws[:, :-1, cp.OFFSET] < 0.0).any() and sides.native:
+        batch.expand("pair_margin")[:, pairs] = np.maximum(-laws[:, :-1, cp.OFFSET], 0.0)
     first = int(m.sensor("native_0").adr[0]) if sides.native else 0
     reading = batch.bind("sensordata")[:, first : first + READ * len(sides.native)]
     return inputs, np.tile(inverse_mass(m, bodies), (len(laws), 1)), reading

@@ -11,17 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.composition import (
-    AWAY,
-    DIST,
-    FACET,
-    FOUND,
-    LINVEL,
-    NO_DAMPING,
-    NORMAL,
-    POS,
-    READ,
-)  # fmt: skip
+from hiltestbed.contact import composition as co
 from hiltestbed.contact.geometry import RADIUS, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, VALUES, unmet
 from hiltestbed.contact.parameters import DAMPING, OFFSET, STIFFNESS
 from hiltestbed.contact.wrench import add_at, add_contact, law_of, meet_all
@@ -77,12 +67,12 @@ def spring(linear, row, push, drag, show, g, solref, friction):
     """MuJoCo's solref of a contact seen ``show`` [m] deep for ``push`` [N] and ``drag`` [N s/m]."""
     if linear:
         solref[0] = -row[STIFFNESS] * g
-        solref[1] = min(-row[DAMPING] * g, NO_DAMPING)
+        solref[1] = min(-row[DAMPING] * g, co.NO_DAMPING)
     else:
-        solref[0] = min(-push * g / show, NO_DAMPING)
-        solref[1] = NO_DAMPING
+        solref[0] = min(-push * g / show, co.NO_DAMPING)
+        solref[1] = co.NO_DAMPING
     friction[0] = NO_FRICTION * g
-    friction[1] = min(-drag * g, NO_DAMPING)
+    friction[1] = min(-drag * g, co.NO_DAMPING)
 
 
 @njit(cache=True)
@@ -94,7 +84,7 @@ def pose_facet(i, c, show, geometry, bodies, inputs, point, normal, work):
     frames, carry, geom_pos = bodies.frames[i], bodies.carry[i], inputs.geom_pos[i]
     at, turn = work[0], work[1]
     for j in range(3):
-        at[j] = point[j] + normal[j] * (FACET[2] - 0.5 * show)
+        at[j] = point[j] + normal[j] * (co.FACET[2] - 0.5 * show)
     rotate(carry[surface, 3:7], at[0:3], at[0:3])
     for j in range(3):
         geom_pos[ids[1], j] = at[j] + carry[surface, j]
@@ -139,11 +129,11 @@ def touch_facets(geometry, laws, bodies, inputs, felt):
             row, out, at, n, v = p[i, c], met[i, c], point[c], normal[c], slip[c]
             out[0], out[1], out[PUSH], out[DRAG] = depth[c], rate[c], 0.0, 0.0
             if not live[i, c]:
-                geom_pos[i, ids[c, 1], 2] = AWAY
+                geom_pos[i, ids[c, 1], 2] = co.AWAY
                 continue
             push, drag = law_of(dt, least_creep, row, state[i, c], depth[c], rate[c], v)
             if depth[c] <= row[OFFSET] and push == 0.0:
-                geom_pos[i, ids[c, 1], 2] = AWAY
+                geom_pos[i, ids[c, 1], 2] = co.AWAY
                 continue
             touching[i] = True
             out[PUSH], out[DRAG] = push, drag
@@ -158,7 +148,7 @@ def touch_facets(geometry, laws, bodies, inputs, felt):
             add_contact(push, drag, at, n, v, place, side, f, wrench[i])
             if push < 0.0:
                 add_contact(push, drag, at, n, v, place, side, f, pull[i])
-                geom_pos[i, ids[c, 1], 2] = AWAY
+                geom_pos[i, ids[c, 1], 2] = co.AWAY
                 continue
             show, k = max(depth[c] - row[OFFSET], LEAST), ids[c, 0]
             pose_facet(i, c, show, geometry, bodies, inputs, at, n, work)
@@ -174,16 +164,16 @@ def touch_natively(facets, reading, laws, inputs, felt):
     f, slip = np.empty(6), np.zeros(3)
     for i in range(met.shape[0]):
         for native in range(ids.shape[0] - facets):
-            c, said = facets + native, reading[i, native * READ : (native + 1) * READ]
-            row, out, points = p[i, c], met[i, c], said[FOUND]
+            c, said = facets + native, reading[i, native * co.READ : (native + 1) * co.READ]
+            row, out, points = p[i, c], met[i, c], said[co.FOUND]
             out[:] = 0.0
-            out[0] = -said[DIST] if points > 0.0 else -1.0
+            out[0] = -said[co.DIST] if points > 0.0 else -1.0
             if points == 0.0:
                 if not linear[i, c]:
                     law_of(dt, least_creep, row, state[i, c], -1.0, 0.0, slip)
                 continue
-            depth, out[1] = out[0], -said[LINVEL]
-            slip[0], slip[1] = said[LINVEL + 1], said[LINVEL + 2]
+            depth, out[1] = out[0], -said[co.LINVEL]
+            slip[0], slip[1] = said[co.LINVEL + 1], said[co.LINVEL + 2]
             push, drag = 0.0, 0.0
             if live[i, c]:
                 push, drag = law_of(dt, least_creep, row, state[i, c], depth, out[1], slip)
@@ -195,8 +185,8 @@ def touch_natively(facets, reading, laws, inputs, felt):
             touching[i] |= live[i, c]
             out[PUSH], out[DRAG] = push, drag
             for j in range(3):
-                out[POINT + j], out[NORM + j] = said[POS + j], said[NORMAL + j]
-                f[j] = push * said[NORMAL + j]
+                out[POINT + j], out[NORM + j] = said[co.POS + j], said[co.NORMAL + j]
+                f[j] = push * said[co.NORMAL + j]
             add_at(out[POINT : POINT + 3], f, wrench[i])
             if push < 0.0:
                 add_at(out[POINT : POINT + 3], f, pull[i])

@@ -10,16 +10,9 @@ from numpy.typing import NDArray
 
 from hiltestbed.config.part import compiled
 from hiltestbed.contact.geometry import ACTIVE, FRAMES, PASSIVE
+from hiltestbed.contact.surfaces import surface as surf
 from hiltestbed.contact.surfaces.soundness import MeshFault
-from hiltestbed.contact.surfaces.surface import (
-    CAPSULE,
-    KINDS,
-    MESH,
-    Surface,
-    hollow,
-    of_geom,
-    of_mesh,
-)
+from hiltestbed.contact.surfaces.surface import Surface, hollow, of_geom, of_mesh
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_from_mujoco
 
@@ -119,7 +112,7 @@ class Side:
     def surface(self, geom: int) -> Surface:
         """The surface of a facet. Raises InputError for a mesh that cannot be used."""
         m = self.model
-        if m.geom_type[geom] != MESH:
+        if m.geom_type[geom] != surf.MESH:
             return of_geom(int(m.geom_type[geom]), m.geom_size[geom])
         mesh = int(m.geom_dataid[geom])
         if mesh in self._surfaces:
@@ -136,9 +129,9 @@ class Side:
     def not_convex(self, geom: int) -> str | None:
         """Why MuJoCo's own collision does not see the true surface of a geom; None: it does."""
         m, kind = self.model, self.type(geom)
-        if kind in KINDS:
+        if kind in surf.KINDS:
             return None
-        if kind != MESH:
+        if kind != surf.MESH:
             name = mujoco.mjtGeom(kind).name.removeprefix("mjGEOM_").lower()
             return (
                 f"{self.name(geom)} is of type {name}, whose contact points share no stiffness; "
@@ -188,7 +181,7 @@ class Side:
 
     def ends(self, geom: int) -> Array:
         """``(k, 2)`` lateral positions [m], in the port's axes, on a rod, or of a centre."""
-        half = self.model.geom_size[geom, 1] if self.type(geom) == CAPSULE else 0.0
+        half = self.model.geom_size[geom, 1] if self.type(geom) == surf.CAPSULE else 0.0
         along = self.data.geom_xmat[geom].reshape(3, 3)[:, 2] * half
         points = self.data.geom_xpos[geom] + np.linspace(-1.0, 1.0, 9)[:, None] * along
         return ((points - self.origin) @ self.axes)[:, :2]

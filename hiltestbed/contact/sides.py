@@ -23,30 +23,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiltestbed.config.models import stamp
+from hiltestbed.contact import geometry as geo
 from hiltestbed.contact.description import Rule, matching
-from hiltestbed.contact.geometry import (
-    RADIUS,
-    ROUND_FRAME,
-    ROW,
-    SURFACE_FRAME,
-    VALUES,
-    Geometry,
-    Placed,
-    Round,
-    packed,
-)
+from hiltestbed.contact.geometry import Geometry, Placed, Round, packed
 from hiltestbed.contact.side import Frames, Side, quaternion
+from hiltestbed.contact.surfaces import surface as surf
 from hiltestbed.contact.surfaces.soundness import MeshFault
-from hiltestbed.contact.surfaces.surface import (
-    BOX,
-    CAPSULE,
-    CYLINDER,
-    ELLIPSOID,
-    KINDS,
-    MESH,
-    PLANE,
-    SPHERE,
-)  # fmt: skip
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 
@@ -54,9 +36,9 @@ if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
 
 # on a plane or a box a rod touches at both ends, which MuJoCo handles
-ROD_FACETS = (CYLINDER, ELLIPSOID, MESH)
+ROD_FACETS = (surf.CYLINDER, surf.ELLIPSOID, surf.MESH)
 # closed form against a ball
-EXACT = {PLANE, SPHERE, CAPSULE, BOX}
+EXACT = {surf.PLANE, surf.SPHERE, surf.CAPSULE, surf.BOX}
 MOST_PAIRS = 4000
 
 
@@ -113,8 +95,9 @@ class Sides:
 
     def candidate(self, k: int) -> tuple[int, int, float]:
         """Of facet ``k``: frames of the round and of the surface, radius of the round [m]."""
-        row, radius = self.geometry.index[k * ROW :], self.geometry.values[k * VALUES + RADIUS]
-        return int(row[ROUND_FRAME]), int(row[SURFACE_FRAME]), float(radius)
+        row = self.geometry.index[k * geo.ROW :]
+        radius = self.geometry.values[k * geo.VALUES + geo.RADIUS]
+        return int(row[geo.ROUND_FRAME]), int(row[geo.SURFACE_FRAME]), float(radius)
 
     @property
     def rigid(self) -> bool:
@@ -179,7 +162,7 @@ def _sides(
         for port, name in sites
     }
     exact = not native and all(
-        SPHERE in types and EXACT.issuperset(types)
+        surf.SPHERE in types and EXACT.issuperset(types)
         for types in ((active.type(a), passive.type(p)) for a, p, _ in pairs)
     )
     moving = bool(active.model.njnt or passive.model.njnt)
@@ -200,8 +183,8 @@ def _sides(
 
 
 def _facets(round_: int, surface: int) -> bool:
-    return (round_ == SPHERE and (surface in KINDS or surface == MESH)) or (
-        round_ == CAPSULE and surface in ROD_FACETS
+    return (round_ == surf.SPHERE and (surface in surf.KINDS or surface == surf.MESH)) or (
+        round_ == surf.CAPSULE and surface in ROD_FACETS
     )
 
 
@@ -209,7 +192,7 @@ def _candidate(
     one: Side, round_: int, other: Side, surface: int, frames: Frames
 ) -> tuple[Round, Placed]:
     frame_a, ends = one.in_frame(round_, frames)
-    half = one.model.geom_size[round_, 1] if one.type(round_) == CAPSULE else 0.0
+    half = one.model.geom_size[round_, 1] if one.type(round_) == surf.CAPSULE else 0.0
     along = ends[1][:, 2] * half
     places = np.array([ends[0] + along, ends[0] - along])
     frame_p, (position, turn) = other.in_frame(surface, frames)

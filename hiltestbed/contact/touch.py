@@ -17,16 +17,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiltestbed.compiled.jit import interpreted
+from hiltestbed.contact import parameters as cp
 from hiltestbed.contact.geometry import FRAMES, unmet
 from hiltestbed.contact.law import Pair, acting_law, in_series, linear_law
-from hiltestbed.contact.parameters import (
-    LEVER,
-    OFFSET,
-    PARAMETERS,
-    ContactParameters,
-    acting_contacts,
-    mechanism_parameters,
-)
+from hiltestbed.contact.parameters import ContactParameters, acting_contacts, mechanism_parameters
 from hiltestbed.contact.sides import Sides, sides_of
 from hiltestbed.contact.wrench import LATCH_RADIUS, meet_all
 from hiltestbed.frames import Array
@@ -195,8 +189,8 @@ class Meeting:
 
     def __init__(self, sides: Sides) -> None:
         count, frames = sides.geometry.count, FRAMES + len(sides.frames)
-        p = np.ones((count, PARAMETERS))
-        p[:, LEVER], p[:, OFFSET] = 0.5, 0.0
+        p = np.ones((count, cp.PARAMETERS))
+        p[:, cp.LEVER], p[:, cp.OFFSET] = 0.5, 0.0
         self.frames = np.zeros((frames, 7))
         self.frames[1, 6] = 1.0
         met = unmet.py_func(count)
