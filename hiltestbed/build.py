@@ -41,9 +41,7 @@ if TYPE_CHECKING:
 def runnable_from(
     source: Source | Mapping[str, Any], set: Mapping[str, Any] | None = None
 ) -> Scenario:
-    """As :func:`hiltestbed.scenario.scenario_from`, of a scenario that is to run. Raises InputError
-    with every fault, those of its models included.
-    """
+    """As ``scenario_from``, of one that is to run. Raises InputError with its models' faults."""
     return _timed(scenario_from(source, set, _problems))
 
 

@@ -212,9 +212,7 @@ def quat_from_mujoco(q: Array) -> Array:
 
 
 def quat_from_attitude_deg(attitude_deg: ArrayLike) -> Array:
-    """Quaternion ``(..., 4)`` of ``attitude_deg`` ``(..., 3)``: rotations about the fixed x, then
-    y, then z axis [deg].
-    """
+    """Quaternion ``(..., 4)`` of rotations ``(..., 3)`` about fixed x, then y, then z [deg]."""
     half = 0.5 * np.radians(np.asarray(attitude_deg, dtype=float))
     sine, cosine = np.sin(half), np.cos(half)
     sx, sy, sz = sine[..., 0], sine[..., 1], sine[..., 2]

@@ -221,9 +221,7 @@ def is_users(cls: type) -> bool:
 
 @contextmanager
 def calling(cls: type, where: str) -> Iterator[None]:
-    """Around a call of ``cls``: what a user's class raises becomes an InputError with its file and
-    line, and ``where`` in the scenario it is called.
-    """
+    """What a user's ``cls`` raises becomes an InputError with its file, line and ``where``."""
     try:
         yield
     except HiltestbedError:

@@ -11,9 +11,7 @@ from hiltestbed.frames import Array
 
 
 class History:
-    """The last values of an array ``(n, m)``, one per tick, interpolated between ticks; before the
-    first tick the first value holds.
-    """
+    """The last values of an array ``(n, m)``, one per tick, interpolated; before them the first."""
 
     def __init__(self, width: int, longest: Array) -> None:
         """``longest`` (n,): longest delay of each run [ticks]."""

@@ -45,16 +45,12 @@ class InputDeadZone:
         self.wrench = np.zeros((len(parameters), 6))
 
     def update(self, reading: Array) -> Array:
-        """Apply the dead zone to a reading ``(n, 6)``: a force below the width is zero; torques
-        pass, except with "magnitude".
-        """
+        """A reading ``(n, 6)`` after the dead zone; torques pass, except with "magnitude"."""
         _dead(reading, self._width, self._where, False, self.wrench)
         return self.wrench
 
     def after(self, wrench: Array) -> None:
-        """Zero small forces of the compensated ``wrench`` (n, 6), in place, for runs whose dead
-        zone lies after the compensation.
-        """
+        """Zero small forces of ``wrench`` (n, 6) where the dead zone is after the compensation."""
         _dead(wrench, self._width, self._where, True, wrench)
 
 

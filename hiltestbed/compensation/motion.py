@@ -25,9 +25,7 @@ class MotionCommand:
     """
 
     def __init__(self, rate: float, feed: Array, method: PoseBlock | None) -> None:
-        """``rate``: [Hz]. feed: (n,) 1 where velocity and acceleration are fed forward, else 0.
-        method: changes the pose; None: it is commanded as it is.
-        """
+        """``rate`` [Hz]; feed: (n,) 1 with feed-forward, else 0; method: changes the pose."""
         n = len(feed)
         self._rate, self._feed, self._method = rate, feed, method
         self.pose = np.zeros((n, 7))

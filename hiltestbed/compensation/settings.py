@@ -53,17 +53,15 @@ class ForceMethod(Strictly):
         raise NotImplementedError
 
     def removes(self, scenario: ScenarioLike) -> Mapping[str, float]:
-        """Name to the delay [s] that it removes from the loop at low frequency, once any contact
-        model it needs is identified.
-        """
+        """Name to the delay [s] that it removes from the loop at low frequency."""
         from hiltestbed.contact.directions import acting_along_z
 
         removed = self.removed(scenario.sensor.delay, acting_along_z(scenario.impact)[0])
         return {} if removed is None else {self.kind: removed}
 
     def removed(self, delay: float, stiffness: float) -> float | None:
-        """What it removes [s] of a ``delay`` of the force [s], in a contact of ``stiffness`` [N/m]
-        along the insertion; None: it does not compensate a delay.
+        """What it removes [s] of a ``delay`` [s] in a contact of ``stiffness`` [N/m]; None:
+        nothing.
         """
         return delay if self.removes_delay else None
 

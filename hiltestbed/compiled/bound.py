@@ -49,9 +49,7 @@ def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
 
 
 class Call:
-    """A kernel with some arrays of the caller, which are the same at almost every call; it is bound
-    again if one of them changes.
-    """
+    """A kernel with arrays of its caller, nearly always the same; else it is bound again."""
 
     __slots__ = ("_bound", "_given", "_kernel", "_last")
 

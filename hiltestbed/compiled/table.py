@@ -20,9 +20,7 @@ _calls: dict[tuple[Any, ...], Any] = {}
 
 
 def tabled(kernel: Any, given: tuple[Any, ...]) -> tuple[Any, Any, list[Any]]:
-    """A compiled call of ``kernel`` that takes the address of a table, the table of ``given``, as
-    for :func:`hiltestbed.compiled.bound.bound`, and the arrays to which it refers.
-    """
+    """A compiled call of ``kernel`` with the address of a table, the table, and its arrays."""
     words: list[int] = []
     arrays: list[Any] = []
     kinds = [_entered(value, words, arrays) for value in given]

@@ -187,9 +187,7 @@ def in_series(first: Pair, second: Pair) -> Pair:
 
 
 def linear_law(law: ContactParameters) -> Pair | None:
-    """Stiffness [N/m] and damping [N s/m] of a linear law, wherever its touch is, with the frame's
-    compliance; None if it is not linear.
-    """
+    """Stiffness [N/m], damping [N s/m] of a linear law, frame included; None if not linear."""
     neutral = ContactParameters(1.0)
     if any(getattr(law, name) != getattr(neutral, name) for name in cp.NON_LINEAR):
         return None
@@ -204,9 +202,7 @@ def linear_law(law: ContactParameters) -> Pair | None:
 
 
 def acting_law(law: ContactParameters, mass: float, speed: float) -> Pair:
-    """Stiffness [N/m] and damping [N s/m] with which a law acts in a head-on bounce of ``mass``
-    [kg] at ``speed`` [m/s]; without speed those of its linear terms.
-    """
+    """Stiffness [N/m], damping [N s/m] in a head-on bounce of ``mass`` [kg] at ``speed`` [m/s]."""
     linear = linear_law(law)
     found = linear or (float(law.stiffness), float(law.damping))
     if linear is not None or speed <= 0.0:

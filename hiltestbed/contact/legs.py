@@ -64,8 +64,8 @@ def stand_on_legs(side: mujoco.MjSpec, ring: ActiveRing) -> None:
 
 
 def divergent(ring: ActiveRing, inertia: Array, dt: float) -> Iterator[str]:
-    """Laws that steps of ``dt`` [s] do not resolve: of the ring alone, with ``inertia`` (6,) [kg,
-    kg m^2] in its joints, an eigenvalue of its motion from step to step is beyond 1.
+    """Laws whose eigenvalue in steps of ``dt`` [s], with ``inertia`` (6,) of the joints, is beyond
+    1.
     """
     follows = _follows(ring, dt)
     for name, law in zip(LAWS, ring.laws, strict=True):
@@ -184,8 +184,8 @@ class RingLegs:
         return stiffness, damping
 
     def summary(self, i: int) -> dict[str, Any]:
-        """What the legs of run ``i`` did: largest force [N], shortest and longest against rest [m],
-        energy absorbed [J]; and what went wrong, each with the phase and the time [s].
+        """What the legs of run ``i`` did: force [N], travel [m], energy [J], faults with phase,
+        time.
         """
         peak, shortest, longest, absorbed = map(float, self.state.used[i])
         found = zip(FAULTS, self.state.faults[i], strict=True)

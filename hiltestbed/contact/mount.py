@@ -44,8 +44,8 @@ class Mounts:
     """
 
     def __init__(self, batch: Batch, springs: tuple[Array, Array] | None, tilt: Array) -> None:
-        """``springs``: see :func:`hiltestbed.contact.parameters.mounts_of`. ``tilt``: (n, 7) pose
-        of S in its nominal frame, of a misaligned port.
+        """``springs``: see ``parameters.mounts_of``. ``tilt``: (n, 7) pose of S in its nominal
+        frame.
         """
         n, model = len(tilt), batch.model
         self.tilt = tilt

@@ -137,9 +137,7 @@ def mounts_of(mechanisms: Sequence[Mechanism]) -> tuple[Array, Array] | None:
 
 
 def latch_limits(latches: Iterable[Latch | None]) -> Array:
-    """``(n, 3)`` limits at which latches close: depth [m] (pz >= -depth), least cosine between the
-    axes, highest speed [m/s]; without a latch they are never met.
-    """
+    """``(n, 3)`` limits of latches: depth [m], least cosine of the axes, speed [m/s]; or never."""
     never = (-np.inf, 2.0, 0.0)
     return np.array(
         [(la.depth, np.cos(np.radians(la.angle_deg)), la.speed) if la else never for la in latches]

@@ -24,9 +24,7 @@ LEAST = 2
 
 
 def error_bound(impact: Impact, physics_rate: float) -> float:
-    """Relative error of the rebound that steps at ``physics_rate`` [Hz] may cause in the first
-    contact: 1/(4 n) for n steps in half a period of the fastest motion.
-    """
+    """Relative error of the first rebound with steps at ``physics_rate`` [Hz]: 1/(4 n)."""
     return _fastest(impact) / (4.0 * math.pi * physics_rate)
 
 

@@ -40,8 +40,8 @@ class Effect(Departure):
         raise NotImplementedError
 
     def worth(self, tick: float, frequency: float) -> float | None:
-        """Its equivalent delay [s] in a loop with a ``tick`` [s] and a contact of ``frequency``
-        [rad/s]; None: no delay.
+        """Equivalent delay [s] at a ``tick`` [s], in a contact of ``frequency`` [rad/s]; None:
+        none.
         """
         return None
 

@@ -207,8 +207,8 @@ class ContactSamples:
         self._taken = Call(_take, ..., (GIVEN,) * 6, *parts)
 
     def take(self, wrench: Array, pose: Array, twist: Array, led: Array | None = None) -> None:
-        """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``;
-        ``led``: the wrench after the lead.
+        """Process wrench ``(n, 6)``, pose ``(n, 7)``, twist at t_k; ``led``: the wrench after a
+        lead.
         """
         k = int(self._clock[0])
         force = wrench if led is None else led

@@ -116,9 +116,7 @@ class CorDesigned(BlockMethod):
         return KernelBlock(add_virtual, STATE, np.zeros(len(own)), damping)
 
     def designed(self, mass: float, delay: float) -> float:
-        """The damper [N s/m] that gives the design contact of a reduced ``mass`` [kg] the desired e
-        despite a ``delay`` of the force [s].
-        """
+        """The damper [N s/m] for the desired e at a reduced ``mass`` [kg] and ``delay`` [s]."""
         w = math.sqrt(self.stiffness / mass)
         z = self.damping / (2.0 * math.sqrt(self.stiffness * mass))
         turn = w * delay

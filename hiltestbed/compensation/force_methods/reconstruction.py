@@ -87,18 +87,14 @@ class ReconstructionBlock:
     def __init__(
         self, lead: PhaseLeadBlock, ticks: Array, captured: CapturedContact | None
     ) -> None:
-        """``lead``: where there is no estimate. ticks: (n,) delay [ticks]. captured: of a mechanism
-        that captures.
-        """
+        """``lead``: without an estimate; ticks: (n,) delay; captured: if it captures."""
         n = len(ticks)
         self._lead, self._ticks, self._captured = lead, ticks, captured
         self._states, self._state = History(12, ticks), np.zeros((n, 12))
         self._at_A, self.output = np.zeros((n, 3)), np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` the reconstructed wrench; an axis without an estimate passes the lead. After
-        capture M acts about the held pose.
-        """
+        """``(n, 6)`` the reconstructed wrench; an axis without an estimate passes the lead."""
         m, led = measurement, self._lead.compensate(measurement)
         observe(m.pose, m.twist, self._at_A, UNTURNED, self._state)
         self._states.remember(self._state)
@@ -113,9 +109,7 @@ class SmithPredictorBlock:
     """M with a given k and c along the insertion."""
 
     def __init__(self, spring: Array, ticks: Array, lead: PhaseLeadBlock | None) -> None:
-        """``spring``: (2, n) k [N/m] and c [N s/m]. ticks: (n,) delay [ticks]. lead: of what the
-        model does not explain.
-        """
+        """``spring``: (2, n) k and c; ticks: (n,) delay; lead: of what is not explained."""
         n, (self._stiffness, self._damping) = len(ticks), spring
         self._ticks, self._lead = ticks, lead
         self._model = History(6, ticks)
@@ -185,9 +179,7 @@ class CapturedContact:
 
 @njit(cache=True)
 def observe(pose, twist, lever, reference, out):
-    """``out`` (n, 12): position, rotation vector from ``reference`` (4,) and twist of the point at
-    ``lever`` (n, 3) from A, for ``pose`` (n, 7) and ``twist`` (n, 6) of A.
-    """
+    """``out`` (n, 12): position, rotation vector and twist of the point at ``lever`` from A."""
     for i in range(pose.shape[0]):
         referred(pose[i], twist[i], lever[i], reference, out[i, 0:6], out[i, 6:12])
 

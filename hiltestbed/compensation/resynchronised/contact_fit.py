@@ -98,9 +98,7 @@ class ContactWindow(NamedTuple):
 
 @njit(cache=True)
 def low_pass_of(lag, digital, weights):
-    """Weights (2,) of a low-pass with the time constant ``lag`` [ticks]: a digital one, y += (u -
-    y)/(1 + lag), or an analogue one, as in :func:`hiltestbed.sensor.chain.low_pass`.
-    """
+    """Weights (2,) of a low-pass of ``lag`` [ticks]: digital, y += (u - y)/(1 + lag), or not."""
     weights[0], weights[1] = 1.0, 0.0
     if digital > 0.0:
         weights[0] = 1.0 / (1.0 + lag)
@@ -111,9 +109,7 @@ def low_pass_of(lag, digital, weights):
 
 
 class Solution(NamedTuple):
-    """A solution, in registers: an array that is read while others are written is read again. felt,
-    substeps: as in the window. last: step but one.
-    """
+    """A solution, in registers; felt, substeps: as in the window; last: step but one."""
 
     stiffness: float
     damping: float

@@ -86,9 +86,7 @@ def shell(socket: float, half_angle: float, generator: float, thickness: float) 
     sin, cos = math.sin(half_angle), math.cos(half_angle)
 
     def across(distance: float, along: float) -> tuple[float, float]:
-        """A point at ``along`` [m] on the generator from its point of tangency, at ``distance`` [m]
-        from the socket's centre across it.
-        """
+        """A point ``along`` [m] the generator, at ``distance`` [m] from the socket's centre."""
         return distance * cos + along * sin, distance * sin - socket - along * cos
 
     outer = socket + thickness

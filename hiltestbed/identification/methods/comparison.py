@@ -68,9 +68,7 @@ class SampleFit:
     damping_sd: Array | None = None
 
     def __init__(self, given: SampleParameters, kernel: Any, found: int, *state: Any) -> None:
-        """``found``: number q of quantities, of which the first are k and c. state: settings and
-        state of the ``kernel``.
-        """
+        """``found``: number q of quantities, first k and c; state: what the ``kernel`` takes."""
         self.source, n = ContactSamples(given), len(given.sensors)
         self.found, self.samples = np.full((found, n, 6), np.nan), np.zeros((n, 6))
         self.stiffness, self.damping = self.found[:2]
