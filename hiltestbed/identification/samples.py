@@ -36,6 +36,7 @@ from hiltestbed.contact.wrench import meet_all
 from hiltestbed.frames import Array, add_moment
 from hiltestbed.identification.held import HeldPlace, referred, update_held
 from hiltestbed.sensor.chain import FILTERED, filtered, filters_of, high_pass, low_pass
+from hiltestbed.signals import AXES
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 # a sample is in contact if the force exceeds this many standard deviations of its noise
 GATE_SIGMA = 5.0
 GATE_PEAK = 0.02  # and this fraction of the peak so far
-NORMAL = 6  # column of the contact normal, after the six axes
+NORMAL = len(AXES)  # column of the contact normal, after the six axes
 # time constants of the low-pass that are skipped at both ends of a contact: exp(-3) = 5 % remains
 FILTER_MEMORY = 3.0
 # [N, N m] 1 sigma of a force that has passed a lead, or is paired with a pose of another time

@@ -531,9 +531,7 @@ def _settled(m, p, used, work):
 
 @njit(cache=True)
 def _centre(m, used, rows, best):
-    """Move the delay to the middle of its 95 % interval: between two readings chi-square is
-    constant.
-    """
+    """Move the delay to the middle of its 95 % interval: chi-square is flat between readings."""
     trial = best.copy()
     limit = misfit(m, trial, used, rows) + CERTAIN
     ends = np.empty(2)

@@ -25,7 +25,7 @@ from hiltestbed.numerical_model.kernels import (
 from hiltestbed.sensor.chain import filtered
 
 HISTORY = 512  # ticks of a contact that can be re-run
-FIRST_FIT = 8  # samples of contact: twice the unknowns of the richest law
+FIRST_FIT = 2 * cf.LINEAR  # samples of contact: twice the unknowns of the richest law
 # Columns of ``tick``: ticks done, tick of the delayed model, tick of the touch, number of samples
 # at which the next re-run and the next fit are due, tick of the first reading of this contact.
 DONE, DELAYED, ANCHOR, NEXT_RERUN, NEXT_FIT, FELT, TICK = range(7)
@@ -70,9 +70,7 @@ def _whole(ticks):
 
 @njit(cache=True)
 def _acted(i, m, k, rows):
-    """Position, rate and wrench at A (rows 0 to 2) when the force [N] of tick ``k`` acted; the
-    force.
-    """
+    """The force [N] of tick ``k``; position, rate and wrench at A when it acted in rows 0 to 2."""
     state = m.state
     late, part = _whole(_delay(i, m, k))
     # the sensor interpolates its reading between substeps; so is the rate weighted
@@ -138,12 +136,8 @@ def _take(i, m, rows, y):
         ce.learn(state.fit[i], state.law[i], count, state.pending[i], setup.sigma[i, 0])
     s, u = along(m.fixed, state.line[i], rows[0]), along(m.fixed, state.line[i], rows[1])
     # x, v and 1 through the model of the sensor's filters, from the touch on
-    smooth, leak, memory, sample = (
-        setup.smooth[i],
-        setup.leak[i],
-        state.regressor[i],
-        state.pending[i],
-    )
+    smooth, leak = setup.smooth[i], setup.leak[i]
+    memory, sample = state.regressor[i], state.pending[i]
     sample[0] = filtered(s, smooth, leak, memory[0])
     sample[1] = filtered(u, smooth, leak, memory[1])
     sample[2] = filtered(1.0, smooth, leak, memory[2])
