@@ -164,8 +164,13 @@ class _Joints:
             turn = rotation_matrix(frame[3:7]) @ site.xmat.reshape(3, 3).T
             self._ports.append((frame[:3], site.xpos, turn))
         bodies = {*_bodies(structure, m), *(b for pair in _met_by(structure, m) for b in pair)}
-        every = sorted({j for body in bodies for j in _chain(m, body)})
-        self._free = [j for j in every if not _held(batch, i, j)]
+        every: set[int] = set()  # between a moving part and its side
+        for body in bodies:
+            while body and m.body(body).name.startswith(tuple(PREFIXES.values())):
+                every |= {*range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body])}
+                body = int(m.body_parentid[body])
+        moves = (j for j in sorted(every) if int(m.jnt_type[j]) in (SLIDE, HINGE))
+        self._free = [j for j in moves if not _held(batch, i, j)]
         self._dofs = m.jnt_dofadr[self._free]
         self.count = len(self._free)
         self.stiffness = np.array(m.jnt_stiffness[self._free])
@@ -206,15 +211,6 @@ class _Joints:
                 moved[:, :3] += sign * self._axes
                 moved[:, 3:6] += sign * np.cross(self._axes.T, spring.place - place).T
         return spring.axes.T @ moved
-
-
-def _chain(m: mujoco.MjModel, body: int) -> list[int]:
-    """Joints between a moving part and its side."""
-    out: list[int] = []
-    while body and m.body(body).name.startswith(tuple(PREFIXES.values())):
-        out += range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body])
-        body = int(m.body_parentid[body])
-    return [j for j in out if int(m.jnt_type[j]) in (SLIDE, HINGE)]
 
 
 def _held(batch: Batch, i: int, j: int) -> bool:

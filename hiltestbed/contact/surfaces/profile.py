@@ -128,17 +128,6 @@ def _join(loop: list[Element], rows: list[Array]) -> None:
             )
 
 
-def profile_bounds(profile: Array) -> tuple[Array, float]:
-    """Centre (3,) and radius [m] of a bounding sphere of the surface of revolution."""
-    rows = profile[1:]
-    ends = np.concatenate([rows[:, A : A + 2], rows[:, B : B + 2]])
-    middle = 0.5 * (ends[:, 1].min() + ends[:, 1].max())
-    away = float(np.hypot(ends[:, 0], ends[:, 1] - middle).max())
-    for row in rows[rows[:, KIND] == ARC]:
-        away = max(away, math.hypot(row[U], row[U + 1] - middle) + row[SIZE])
-    return profile[0, 0:3] + middle * profile[0, 3:6], away
-
-
 @njit(cache=True)
 def profile_distance(profile, point, normal):
     """Distance [m] of ``point`` (3,), negative inside; ``normal`` (3,): becomes the outward one."""

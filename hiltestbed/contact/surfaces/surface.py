@@ -183,7 +183,13 @@ def bounds(surface: Surface) -> tuple[Array, float]:
     """Centre (3,) and radius [m] of a bounding sphere of the surface; infinite for a plane."""
     kind, s = surface.kind, surface.sizes
     if kind == TURNED:
-        return profile.profile_bounds(surface.profile)
+        rows, p = surface.profile[1:], profile
+        ends = np.concatenate([rows[:, p.A : p.A + 2], rows[:, p.B : p.B + 2]])
+        middle = 0.5 * (ends[:, 1].min() + ends[:, 1].max())
+        away = float(np.hypot(ends[:, 0], ends[:, 1] - middle).max())
+        for row in rows[rows[:, p.KIND] == p.ARC]:
+            away = max(away, math.hypot(row[p.U], row[p.U + 1] - middle) + row[p.SIZE])
+        return surface.profile[0, 0:3] + middle * surface.profile[0, 3:6], away
     if kind == MESH:
         corners = surface.tree.corners.reshape(-1, 3)
         centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
