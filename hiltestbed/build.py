@@ -41,9 +41,7 @@ if TYPE_CHECKING:
 def runnable_from(
     source: Source | Mapping[str, Any], set: Mapping[str, Any] | None = None
 ) -> Scenario:
-    """As :func:`hiltestbed.scenario.scenario_from`, of a scenario that is to run. Raises InputError
-    with every fault, those of its models included.
-    """
+    """As ``scenario_from``, of one that is to run. Raises InputError with its models' faults."""
     return _timed(scenario_from(source, set, _problems))
 
 
@@ -82,7 +80,7 @@ def monitor(scenarios: Sequence[Scenario]) -> ProcessMonitor:
 
 def dead_zone(scenarios: Sequence[Scenario]) -> InputDeadZone:
     """What the compensation does not see of the readings."""
-    return InputDeadZone([InputParameters.of(s.effects) for s in scenarios])
+    return InputDeadZone([InputParameters().with_effects(s.effects) for s in scenarios])
 
 
 def identification(scenarios: Sequence[Scenario]) -> Identification | None:

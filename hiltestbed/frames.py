@@ -2,10 +2,9 @@
 
 Two port frames: ``A`` on the active mechanism (carried by the motion platform) and ``P`` on the
 passive one (on the force sensor). Both have +z along the direction of insertion. A pose is ``(...,
-7)``: position [m] and unit quaternion ``x, y, z, w``;
-a twist ``(..., 6)``: linear [m/s] and angular [rad/s] velocity; a wrench ``(..., 6)``: force [N]
-and torque [N m]. MuJoCo writes quaternions w-first: only :func:`quat_to_mujoco` and
-:func:`quat_from_mujoco` depend on this.
+7)``: position [m] and unit quaternion ``x, y, z, w``; a twist ``(..., 6)``: linear [m/s] and
+angular [rad/s] velocity; a wrench ``(..., 6)``: force [N] and torque [N m]. MuJoCo writes
+quaternions w-first: only :func:`quat_to_mujoco` and :func:`quat_from_mujoco` depend on this.
 
 The scalar kernels work on one-dimensional slices and write into ``out``; they are compiled once and
 called from the loops over the runs of a batch, so that a single run and a run in a batch use the
@@ -34,9 +33,7 @@ SERIES = tuple(1.0 / math.factorial(n) for n in range(13))
 
 @njit(cache=True)
 def sin_cos(angle):
-    """Sine and cosine. Up to :data:`SERIES_ANGLE`, Taylor series, exact to rounding and several
-    times faster than the library's.
-    """
+    """Sine and cosine; by Taylor series, exact to rounding, up to :data:`SERIES_ANGLE`: faster."""
     if abs(angle) > SERIES_ANGLE:
         return math.sin(angle), math.cos(angle)
     s = angle * angle
@@ -168,19 +165,23 @@ def wrench_moved(pose_PS, wrench_S, out):
     """``out``: ``wrench_S`` in S at S's origin, in P at P's origin; ``pose_PS``: of S in P."""
     rotate(pose_PS[3:7], wrench_S[0:3], out[0:3])
     rotate(pose_PS[3:7], wrench_S[3:6], out[3:6])
-    arm = np.empty(3)
-    cross(pose_PS[0:3], out[0:3], arm)
-    for i in range(3):
-        out[3 + i] += arm[i]
+    add_moment(1.0, pose_PS, out)
+
+
+@njit(cache=True)
+def add_moment(sign, position, wrench):
+    """Add to the torque of a ``wrench`` (6,) ``sign`` times the moment of its force at ``position``
+    (3,): -1 moves the reference point to ``position``, 1 moves it back.
+    """
+    wrench[3] += sign * (position[1] * wrench[2] - position[2] * wrench[1])
+    wrench[4] += sign * (position[2] * wrench[0] - position[0] * wrench[2])
+    wrench[5] += sign * (position[0] * wrench[1] - position[1] * wrench[0])
 
 
 @njit(cache=True)
 def pose_step(pose, twist, h, out):
-    """``out``: ``pose`` moved for ``h`` [s] by a constant twist, both in the frame of the pose
-    (linear and angular separately).
-    """
-    r = np.empty(3)
-    q = np.empty(4)
+    """``out``: ``pose`` moved for ``h`` [s] by a constant twist, linear and angular separately."""
+    r, q = np.empty(3), np.empty(4)
     for i in range(3):
         r[i] = twist[3 + i] * h
     quat_exp(r, q)
@@ -193,11 +194,7 @@ def pose_step(pose, twist, h, out):
 def twist_between(pose_0, pose_1, h, out):
     """``out``: the constant twist from ``pose_0`` to ``pose_1`` in ``h`` [s], as in pose_step."""
     q = np.empty(4)
-    inverse = np.empty(4)
-    for i in range(3):
-        inverse[i] = -pose_0[3 + i]
-    inverse[3] = pose_0[6]
-    quat_mul(pose_1[3:7], inverse, q)
+    quat_mul_conj(pose_1[3:7], pose_0[3:7], q)
     rotation_vector(q, out[3:6])
     for i in range(3):
         out[i] = (pose_1[i] - pose_0[i]) / h
@@ -215,9 +212,7 @@ def quat_from_mujoco(q: Array) -> Array:
 
 
 def quat_from_attitude_deg(attitude_deg: ArrayLike) -> Array:
-    """Quaternion ``(..., 4)`` of ``attitude_deg`` ``(..., 3)``: rotations about the fixed x, then
-    y, then z axis [deg].
-    """
+    """Quaternion ``(..., 4)`` of rotations ``(..., 3)`` about fixed x, then y, then z [deg]."""
     half = 0.5 * np.radians(np.asarray(attitude_deg, dtype=float))
     sine, cosine = np.sin(half), np.cos(half)
     sx, sy, sz = sine[..., 0], sine[..., 1], sine[..., 2]

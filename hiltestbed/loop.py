@@ -99,8 +99,8 @@ class Loop:
     def __init__(
         self, scenarios: Sequence[Scenario], nthread: int = 1, side: MakeSide = simulated
     ) -> None:
-        """``side``: makes the physical side, simulated or with real devices, for the scenarios and
-        a number of threads.
+        """``side``: makes the physical side for scenarios and threads, simulated or of real
+        devices.
         """
         n = len(scenarios)
         self.scenarios = scenarios
@@ -243,14 +243,21 @@ class Loop:
 
 @njit(cache=True)
 def _keep(k, figures, contacts, row, lost):
-    """Update figures and contacts with tick ``k`` and write its ``row``, None without a trace;
-    returns whether a run is lost.
-    """
+    """Figures, contacts and ``row`` (None without a trace) of tick ``k``; whether a run is lost."""
     take_figures(k, *figures)
     take_contacts(k, *contacts)
     if row is not None:
         write_row(k, *row)
-    return _lost(*lost)
+    # a live run is lost beyond the limit or the finite numbers, in the model or the rig
+    pose, limit, alive, diverged = lost
+    for i in range(pose.shape[0]):
+        if alive[i]:
+            if diverged[i]:
+                return True
+            for j in range(7):
+                if not abs(pose[i, j]) <= limit:
+                    return True
+    return False
 
 
 @njit(cache=True)
@@ -265,16 +272,3 @@ def write_row(k, now, rows, contact, contacts):
         for m in range(len(now)):
             for j in range(now[m].shape[1]):
                 rows[m][k, i, j] = now[m][i, j]
-
-
-@njit(cache=True)
-def _lost(pose, limit, alive, diverged):
-    """Whether a live run has left ``limit`` or the finite numbers, in the model or the rig."""
-    for i in range(pose.shape[0]):
-        if alive[i]:
-            if diverged[i]:
-                return True
-            for j in range(7):
-                if not abs(pose[i, j]) <= limit:
-                    return True
-    return False

@@ -170,6 +170,14 @@ def register(cls: type[T]) -> type[T]:
     )
 
 
+def all_of(cls: type[T], sections: Sequence[Any]) -> list[T]:
+    """``sections``, all of class ``cls``. Raises TypeError for another."""
+    other = next((s for s in sections if not isinstance(s, cls)), None)
+    if other is not None:
+        raise TypeError(f"settings of {cls.__name__} expected (got {type(other).__name__})")
+    return list(sections)
+
+
 def depends(refresh: Callable[[], None]) -> Callable[[], None]:
     """Call ``refresh`` after each addition: for models whose schema lists a registry."""
     _DEPENDENTS.append(refresh)
@@ -184,7 +192,8 @@ def load(modules: Sequence[str] = ()) -> None:
     """
     asked = [
         *os.environ.get(ENVIRONMENT, "").split(os.pathsep),
-        *(_absolute(name) for name in modules),
+        # a .py file with its absolute path: found from any folder, and loaded only once
+        *(str(Path(name).resolve()) if name.endswith(".py") else name for name in modules),
     ]
     wanted = [name for name in dict.fromkeys(asked) if name and name not in _LOADED]
     points = [] if _POINTS_READ else sorted(entry_points(group=GROUP), key=lambda p: p.name)
@@ -205,11 +214,6 @@ def load(modules: Sequence[str] = ()) -> None:
 load_plugins = load  # its public name in the package
 
 
-def _absolute(name: str) -> str:
-    """A .py file with its absolute path: found from any folder, and loaded only once."""
-    return str(Path(name).resolve()) if name.endswith(".py") else name
-
-
 def is_users(cls: type) -> bool:
     """Whether a class comes from a user's module, not from hiltestbed itself."""
     return cls.__module__ in _LOADED.values() or not cls.__module__.startswith("hiltestbed.")
@@ -217,9 +221,7 @@ def is_users(cls: type) -> bool:
 
 @contextmanager
 def calling(cls: type, where: str) -> Iterator[None]:
-    """Around a call of ``cls``: what a user's class raises becomes an InputError with its file and
-    line, and ``where`` in the scenario it is called.
-    """
+    """What a user's ``cls`` raises becomes an InputError with its file, line and ``where``."""
     try:
         yield
     except HiltestbedError:

@@ -157,8 +157,8 @@ class RunTrace(dict[str, NDArray[np.float64]]):
     ``(rows,)``.
 
     A dict of column names to columns, so that ``pandas.DataFrame(trace)`` has the same columns; the
-    name of a group gives the whole
-    group: ``trace["wrench_meas.fz"]`` ``(rows,)``, ``trace["wrench_meas"]`` ``(rows, 6)``,
+    name of a group gives the whole group: ``trace["wrench_meas.fz"]`` ``(rows,)``,
+    ``trace["wrench_meas"]`` ``(rows, 6)``,
         ``trace["t"]``, ``trace["contact"]``.
     """
 

@@ -22,7 +22,7 @@ from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.resolution import converged, rate_for_comparison, sufficient_rate
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.touch import axis_truth, normal_truth
-from hiltestbed.effects.log import log_parameters, stamp_late
+from hiltestbed.effects.log import LogParameters, stamp_late
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.loop import Loop
@@ -107,22 +107,20 @@ def _compared(
     if not finer:
         return {}
     halved = simulate(list(finer.values()), until_parted=True, nthread=nthread).figures
-    return {
-        name: (_unconverged(references[name], found[name].cor, figures.cor),)
-        for name, figures in zip(finer, halved, strict=True)
-        if not converged(found[name].cor, figures.cor)
-    }
-
-
-def _unconverged(scenario: Scenario, cor: float | None, halved: float | None) -> str:
-    """The warning that a reference's rebound ``cor`` differs with the physics step ``halved``."""
-    before, after = ("none" if e is None else f"{e:.4g}" for e in (cor, halved))
-    enough = sufficient_rate(scenario.impact, scenario.rate)
-    return (
-        f"the physics step of {1e3 / scenario.physics_rate:.3g} ms is too long for this contact: "
-        f"half of it changes the coefficient of restitution of the reference from {before} to "
-        f"{after}; use a physics_rate of {enough:g} Hz or leave it out"
-    )
+    out = {}
+    for (name, scenario), figures in zip(finer.items(), halved, strict=True):
+        if converged(found[name].cor, figures.cor):
+            continue
+        pair = found[name].cor, figures.cor
+        before, after = ("none" if e is None else f"{e:.4g}" for e in pair)
+        step = 1e3 / references[name].physics_rate
+        enough = sufficient_rate(scenario.impact, scenario.rate)
+        out[name] = (
+            f"the physics step of {step:.3g} ms is too long for this contact: half of it changes "
+            f"the coefficient of restitution of the reference from {before} to {after}; use a "
+            f"physics_rate of {enough:g} Hz or leave it out",
+        )
+    return out
 
 
 def simulate(
@@ -186,7 +184,7 @@ def simulate(
     if rows is not None:
         rows.length[:] = loop.k
         if isinstance(rows, Trace):
-            skews = [log_parameters(s.effects).skew for s in scenarios]
+            skews = [LogParameters().with_effects(s.effects).skew for s in scenarios]
             stamp_late(rows, scenarios[0].rate, skews)
         for i, (k, *_) in loop.trouble.items():
             rows.length[i] = k + 1
@@ -254,14 +252,20 @@ def reference_fault(batch: Batch, i: int) -> str | None:
 
 
 def _identified(loop: Loop, i: int) -> dict[str, Any]:
-    """Per axis: identified stiffness and damping with their standard deviations (None without an
-    estimate, or of an estimator that gives none), and the true values if they are defined.
-    """
-    truth, estimate, identifiable = (
-        _truth(loop, i),
-        loop.identification,
-        _identifiable_axes(loop, i),
+    """Per axis: estimates and their sd, None without one, and true values where defined."""
+    scenario, plant, estimate = loop.scenarios[i], loop.plant, loop.identification
+    held = plant.held_pair(i)
+    truth = (
+        axis_truth(scenario.impact, bool(plant.captured[i]))
+        if held is None
+        else [(float(held[0][j, j]), float(held[1][j, j])) for j in range(len(AXES))]
     )
+    # a ball joint rotates freely: a fit on its rotations would only give the arm of its force
+    identifiable = len(AXES)
+    if plant.phases is not None:
+        begun = scenario.mechanism.phases()[: int(plant.phases.begun[i])]
+        if not any(p.close is not None and p.close.kind == "weld" for p in begun):
+            identifiable = 3
     # not every method states how sure it is
     values = {name: getattr(estimate, name, None) for name in ESTIMATED}
     out = {}
@@ -280,9 +284,7 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
 
 
 def _force_delay(loop: Loop, i: int) -> dict[str, float] | None:
-    """The delay of the force [s] that the compensation was told, the one that it found, and half
-    the width of its interval, 0 where the told one stood; None of one that does not look.
-    """
+    """[s] nominal, estimated, half width of its interval; None if it is not estimated."""
     drive = loop.drive
     if not isinstance(drive, ResynchronisedDrive):
         return None
@@ -291,31 +293,6 @@ def _force_delay(loop: Loop, i: int) -> dict[str, float] | None:
         "estimated": float(drive.delay[i]),
         "half_width": float(drive.delay_half_width[i]),
     }
-
-
-def _truth(loop: Loop, i: int) -> list[tuple[float, float] | None]:
-    """True stiffness and damping of each axis: from the mechanism's numbers or, once latched in
-    phases, from the model's Jacobians.
-    """
-    held = loop.plant.held_pair(i)
-    if held is None:
-        return axis_truth(loop.scenarios[i].impact, bool(loop.plant.captured[i]))
-    return [(float(held[0][j, j]), float(held[1][j, j])) for j in range(len(AXES))]
-
-
-def _identifiable_axes(loop: Loop, i: int) -> int:
-    """Number of axes with a stiffness: a ball joint rotates freely, and a fit on its rotations
-    would only give the arm of its force.
-    """
-    phases = loop.plant.phases
-    if phases is None:
-        return len(AXES)
-    closed = [
-        p.close
-        for p in loop.scenarios[i].mechanism.phases()[: int(phases.begun[i])]
-        if p.close is not None
-    ]
-    return len(AXES) if any(c.kind == "weld" for c in closed) else 3
 
 
 def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
@@ -330,9 +307,7 @@ def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
 
 
 def _capture(loop: Loop, i: int) -> dict[str, Any]:
-    """The phases of a mechanism that has them, each with its beginning [s], or None; what the legs
-    of an active ring did.
-    """
+    """The beginning [s] of each phase, or None; what the legs of an active ring did."""
     phases, rate = loop.plant.phases, loop.scenarios[i].rate
     if phases is None:
         return {}
@@ -439,9 +414,8 @@ def _speed(scenario: Scenario) -> float:
 
 
 def _energy_reference(scenario: Scenario, figures: ContactFigures) -> float | None:
-    """Reference of the energy made by the rig [J]: the kinetic energy of the approach (at least
-    along z) or, for contacts that begin at rest, the energy of the spring at the peak force, F^2/(2
-    k). None if nothing touched.
+    """[J] kinetic energy of the approach or, of contacts that begin at rest, of the spring at the
+    peak force, F^2/(2 k); None if nothing touched.
     """
     if not figures.contact_duration:
         return None

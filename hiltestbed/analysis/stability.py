@@ -155,7 +155,7 @@ def stability(scenario: Scenario) -> dict[str, Any] | None:
     if found is None:
         return None
     motion = scenario.compensation.motion
-    if motion.depends_on_measurements:
+    if motion.reads and not motion.corrects_force:  # unlike the rig's response
         verdict = (
             f"not judged with {motion.kind}, which changes the command by "
             f"measurements; without it {found[0].sentence()}"

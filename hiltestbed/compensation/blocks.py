@@ -33,11 +33,8 @@ class ForceDrive:
         self._foreign = is_users(type(method))
 
     def _looked_at(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` the checked output of a method from outside this package.
-
-        Raises:
-            InputError: it raised an exception (the message gives file and line), or did not return
-                one finite wrench per run.
+        """``(n, 6)`` the output of a user's method. Raises InputError unless it is finite, or
+        raises.
         """
         name = f"compensation.force: {type(self.method).__name__}.compensate"
         with calling(type(self.method), name):

@@ -11,15 +11,13 @@ from hiltestbed.frames import Array
 
 
 class History:
-    """The last values of an array ``(n, m)``, one per tick, interpolated between ticks; before the
-    first tick the first value holds.
-    """
+    """The last values of an array ``(n, m)``, one per tick, interpolated; before them the first."""
 
     def __init__(self, width: int, longest: Array) -> None:
         """``longest`` (n,): longest delay of each run [ticks]."""
         n = len(longest)
         self.values = np.zeros((n, math.ceil(float(np.max(longest))) + 2, width))
-        self.clock = np.zeros(1, dtype=np.int64)
+        self.clock, self._out = np.zeros(1, dtype=np.int64), np.zeros((n, width))
 
     def remember(self, value: Array) -> None:
         """Store the value ``(n, m)`` of this tick."""
@@ -30,10 +28,10 @@ class History:
             self.values[:, k % self.values.shape[1]] = value
         self.clock[0] = k + 1
 
-    def before(self, ticks: Array, out: Array) -> Array:
-        """``out`` (n, m): the value ``ticks`` (n,) before the last stored one."""
-        _before(int(self.clock[0]) - 1, self.values, ticks, out)
-        return out
+    def before(self, ticks: Array) -> Array:
+        """``(n, m)`` the value ``ticks`` (n,) before the last stored one, until the next call."""
+        _before(int(self.clock[0]) - 1, self.values, ticks, self._out)
+        return self._out
 
 
 @njit(cache=True)

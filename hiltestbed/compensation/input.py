@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.effects.base import Effect
+from hiltestbed.effects.base import Effect, LinkParameters
 from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.frames import Array
@@ -20,22 +20,14 @@ PLACES = {"before": COMPONENTS, "magnitude": MAGNITUDE, "after": AFTER}
 
 
 @dataclass
-class InputParameters:
+class InputParameters(LinkParameters):
     """The dead zone of one run. width: [N], 0 for none. where: "before" the compensation on each
     axis, before it on the force's "magnitude", or "after" the compensation on each axis.
     """
 
+    link = "compensation"
     width: float = 0.0
     where: str = "before"
-
-    @classmethod
-    def of(cls, effects: Iterable[Effect]) -> InputParameters:
-        """The dead zone caused by those of ``effects`` that act on the compensation."""
-        p = cls()
-        for effect in effects:
-            if effect.link == "compensation":
-                effect.apply(p)
-        return p
 
 
 class InputDeadZone:
@@ -53,16 +45,12 @@ class InputDeadZone:
         self.wrench = np.zeros((len(parameters), 6))
 
     def update(self, reading: Array) -> Array:
-        """Apply the dead zone to a reading ``(n, 6)``: a force below the width is zero; torques
-        pass, except with "magnitude".
-        """
+        """A reading ``(n, 6)`` after the dead zone; torques pass, except with "magnitude"."""
         _dead(reading, self._width, self._where, False, self.wrench)
         return self.wrench
 
     def after(self, wrench: Array) -> None:
-        """Zero small forces of the compensated ``wrench`` (n, 6), in place, for runs whose dead
-        zone lies after the compensation.
-        """
+        """Zero small forces of ``wrench`` (n, 6) where the dead zone is after the compensation."""
         _dead(wrench, self._width, self._where, True, wrench)
 
 

@@ -49,14 +49,10 @@ class ForcePath(NamedTuple):
 
 
 class KernelBlock:
-    """A :class:`ForceBlock` that is one kernel, called with some readings, what is ``given``, and
-    the output.
-    """
+    """A :class:`ForceBlock` of one kernel: called with readings, what is ``given``, the output."""
 
     def __init__(self, kernel: Callable[..., None], readings: Sequence[str], *given: Any) -> None:
-        """``readings``: names in a :class:`Measurement`. given: the first has a row for each run,
-        and all that change are the state.
-        """
+        """``readings``: of a :class:`Measurement`. given: settings and state, a row a run."""
         self._kernel = partial(kernel)  # no part of the state, in which arrays are sought
         self._readings, self._given = readings, given
         self._output = np.zeros((len(given[0]), 6))

@@ -25,9 +25,7 @@ class MotionCommand:
     """
 
     def __init__(self, rate: float, feed: Array, method: PoseBlock | None) -> None:
-        """``rate``: [Hz]. feed: (n,) 1 where velocity and acceleration are fed forward, else 0.
-        method: changes the pose; None: it is commanded as it is.
-        """
+        """``rate`` [Hz]; feed: (n,) 1 with feed-forward, else 0; method: changes the pose."""
         n = len(feed)
         self._rate, self._feed, self._method = rate, feed, method
         self.pose = np.zeros((n, 7))
@@ -99,9 +97,7 @@ def _refer(twist, yielding, rate, feed, previous, rate_before, velocity, acceler
 
 @njit(cache=True)
 def _differentiate(twist, previous, rate, velocity, acceleration, jerk):
-    """The semi-implicit velocity is that at the middle of its tick: half a tick of acceleration
-    extrapolates it to the end.
-    """
+    """At the end of the tick: the semi-implicit velocity is that at its middle."""
     for i in range(twist.shape[0]):
         for j in range(6):
             change = rate * (twist[i, j] - previous[i, j])

@@ -13,7 +13,7 @@ from pydantic import Field
 from hiltestbed.compensation.interfaces import Drive, ForceBlock, ForcePath, PoseBlock
 from hiltestbed.config.validation import Problem, Strictly
 from hiltestbed.numerical_model.bodies import effective_mass
-from hiltestbed.plugins import OneOf, Registry, placeholder
+from hiltestbed.plugins import OneOf, Registry, all_of, placeholder
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel
@@ -53,17 +53,15 @@ class ForceMethod(Strictly):
         raise NotImplementedError
 
     def removes(self, scenario: ScenarioLike) -> Mapping[str, float]:
-        """Name to the delay [s] that it removes from the loop at low frequency, once any contact
-        model it needs is identified.
-        """
+        """Name to the delay [s] that it removes from the loop at low frequency."""
         from hiltestbed.contact.directions import acting_along_z
 
         removed = self.removed(scenario.sensor.delay, acting_along_z(scenario.impact)[0])
         return {} if removed is None else {self.kind: removed}
 
     def removed(self, delay: float, stiffness: float) -> float | None:
-        """What it removes [s] of a ``delay`` of the force [s], in a contact of ``stiffness`` [N/m]
-        along the insertion; None: it does not compensate a delay.
+        """What it removes [s] of a ``delay`` [s] in a contact of ``stiffness`` [N/m]; None:
+        nothing.
         """
         return delay if self.removes_delay else None
 
@@ -116,15 +114,11 @@ class MotionMethod(Strictly):
             else {"kind": "feedforward" if self.feeds else "none"}
         )
 
-    @property
-    def depends_on_measurements(self) -> bool:
-        """Whether it changes the command by measurements, unlike the rig's response."""
-        return bool(self.reads) and not self.corrects_force
-
     @classmethod
     def start(cls, scenarios: Sequence[ScenarioLike]) -> PoseBlock | None:
         """The method for ``n`` runs; None if the pose is commanded unchanged."""
-        return cls.block(motion_of(scenarios, cls), scenarios[0].rate)
+        motions = all_of(cls, [s.compensation.motion for s in scenarios])
+        return cls.block(motions, scenarios[0].rate)
 
     @classmethod
     def block(cls, own: Sequence[Self], rate: float) -> PoseBlock | None:
@@ -145,28 +139,17 @@ AnyMotionMethod = Annotated[MotionMethod, OneOf(MOTION_METHODS)]
 
 
 Force = TypeVar("Force", bound=ForceMethod)
-Motion = TypeVar("Motion", bound=MotionMethod)
 
 
 def force_of(scenarios: Sequence[ScenarioLike], method: type[Force]) -> list[Force]:
     """``compensation.force`` of each, all of class ``method``. Raises TypeError for another."""
-    return _all_of(method, [s.compensation.force for s in scenarios])
-
-
-def motion_of(scenarios: Sequence[ScenarioLike], method: type[Motion]) -> list[Motion]:
-    """``compensation.motion`` of each, all of class ``method``. Raises TypeError for another."""
-    return _all_of(method, [s.compensation.motion for s in scenarios])
-
-
-def _all_of(method: type, sections: list[Any]) -> list[Any]:
-    other = next((s for s in sections if not isinstance(s, method)), None)
-    if other is not None:
-        raise TypeError(f"settings of {method.__name__} expected (got {type(other).__name__})")
-    return sections
+    return all_of(method, [s.compensation.force for s in scenarios])
 
 
 class BlockMethod(ForceMethod):
     """Base of the methods that correct the wrench and need no more than a :class:`ForcePath`."""
+
+    reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
 
     @classmethod
     def start(cls, scenarios: Sequence[ScenarioLike], model: NumericalModel) -> ForceBlock:

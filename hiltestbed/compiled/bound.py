@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
+from operator import is_
 from typing import Any
 
-REMEMBERED = 4  # sets of a caller's arrays that stay bound
 GIVEN = object()  # placeholder for an array that the caller of a block passes
 
 
@@ -44,60 +44,28 @@ def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
     """
     from hiltestbed.compiled.table import tabled
 
-    call, table = tabled(kernel, given)
-    return Bound(call, table, given)
+    call, table, arrays = tabled(kernel, given)
+    return Bound(call, table, given, arrays)
 
 
 class Call:
-    """A kernel with some arrays of the caller, which are the same at almost every call; it is bound
-    again if one of them changes.
-    """
+    """A kernel with arrays of its caller, nearly always the same; else it is bound again."""
 
-    __slots__ = ("_a", "_b", "_bound", "_c", "_d", "_e", "_f", "_g", "_given", "_kernel", "_known")
+    __slots__ = ("_bound", "_given", "_kernel", "_last")
 
     def __init__(self, kernel: Any, *given: Any) -> None:
-        """``given``: as for :func:`bound`, with :data:`GIVEN` for each array that is passed to
-        :meth:`on`: at most seven.
-        """
+        """``given``: as for :func:`bound`, with :data:`GIVEN` for each array of :meth:`on`."""
         self._kernel, self._given = kernel, given
-        self._a: Any = self  # not an array, so that the first call binds
-        self._b = self._c = self._d = self._e = self._f = self._g = None
+        self._last: tuple[Any, ...] = (self,)  # not an array, so that the first call binds
         self._bound: Any = None
-        self._known: dict[tuple[int, ...], tuple[tuple[Any, ...], Any]] = {}
 
-    def on(
-        self,
-        a: Any = None,
-        b: Any = None,
-        c: Any = None,
-        d: Any = None,
-        e: Any = None,
-        f: Any = None,
-        g: Any = None,
-    ) -> Callable[..., Any]:
-        """The kernel bound to the caller's arrays, in the order of its arguments; it is called with
-        the numbers that change.
+    def on(self, *arrays: Any) -> Callable[..., Any]:
+        """The kernel bound to these arrays of its caller; it is called with the numbers that
+        change.
         """
-        # written out: a loop over the arguments takes several times as long, at every tick
-        if (
-            a is self._a
-            and b is self._b
-            and c is self._c
-            and d is self._d
-            and e is self._e
-            and f is self._f
-            and g is self._g
-        ):
-            return self._bound
-        self._a, self._b, self._c, self._d, self._e, self._f, self._g = arrays = a, b, c, d, e, f, g
-        # the arrays are referenced, so that their ids cannot be reused
-        key = tuple(map(id, arrays))
-        if key not in self._known:
-            if len(self._known) >= REMEMBERED:
-                self._known.clear()
-            given = _filled(self._given, iter(arrays))
-            self._known[key] = arrays, bound(self._kernel, *given)
-        self._bound = self._known[key][1]
+        if not all(map(is_, arrays, self._last)):
+            self._last = arrays
+            self._bound = bound(self._kernel, *_filled(self._given, iter(arrays)))
         return self._bound
 
 

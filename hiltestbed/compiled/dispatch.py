@@ -13,7 +13,7 @@ import hashlib
 from collections.abc import Callable, Iterable
 from functools import cache
 from types import CodeType, FunctionType, ModuleType
-from typing import Any, Protocol
+from typing import Any
 
 import numba
 import numpy as np
@@ -26,21 +26,8 @@ _njit: Any = numba.njit
 _marks: dict[FunctionType, str] = {}
 
 
-class KernelLike(Protocol):
-    """A :class:`hiltestbed.compiled.jit.Kernel`."""
-
-    @property
-    def py_func(self) -> FunctionType: ...
-    @property
-    def options(self) -> dict[str, Any]: ...
-    @property
-    def dispatcher(self) -> Any: ...
-
-
-def dispatcher_of(kernel: KernelLike) -> Any:
-    """``numba.njit`` of a kernel's function; code cached on disk is marked by everything that it
-    depends on.
-    """
+def dispatcher_of(kernel: Any) -> Any:
+    """``numba.njit`` of a kernel's function; cached code is marked by all that it depends on."""
     _register(type(kernel))
     function, options = kernel.py_func, kernel.options
     dispatcher: Any = _njit(**options)(function)
@@ -72,9 +59,7 @@ def _register(kind: type) -> None:
 
 
 def _by_fields(index_key: Callable[..., tuple]) -> Callable[..., tuple]:
-    """A kernel is also cached by the order of the fields of its named tuples: Numba compares their
-    classes and types only.
-    """
+    """Also by the order of the fields of named tuples: Numba compares classes and types only."""
 
     def key(signature: Any, codegen: Any) -> tuple:
         return (*index_key(signature, codegen), _fields(getattr(signature, "args", signature)))
@@ -91,9 +76,7 @@ def _fields(kinds: Iterable[Any]) -> tuple:
 
 
 def _readable(load_index: Callable[[], dict]) -> Callable[[], dict]:
-    """An index of cached kernels names the classes of their arguments: without one of them, which
-    an update renamed or moved, there is no kernel that could be taken.
-    """
+    """Without a class that an index names, renamed or moved by an update, no kernel is cached."""
 
     def load() -> dict:
         try:
@@ -105,9 +88,7 @@ def _readable(load_index: Callable[[], dict]) -> Callable[[], dict]:
 
 
 class Mark:
-    """The mark with which a cached kernel is compared; computed at first use, when everything that
-    the function names is defined.
-    """
+    """The mark of a cached kernel, computed at first use, when all that it names is defined."""
 
     __slots__ = ("_function",)
 
@@ -121,39 +102,27 @@ class Mark:
         return hash(str(self))
 
     def __str__(self) -> str:
-        return mark_of(self._function)
+        if self._function not in _marks:
+            reached: dict[FunctionType, str] = {}
+            _reach(self._function, reached)
+            text = "\n".join(sorted(reached.values()))
+            _marks[self._function] = hashlib.sha256(text.encode()).hexdigest()
+        return _marks[self._function]
 
     def __reduce__(self) -> tuple[type[str], tuple[str]]:
         return str, (str(self),)
 
 
-def mark_of(function: FunctionType) -> str:
-    """Hash of a function's code, its kernels', and of the constants that any of them reads."""
-    if function not in _marks:
-        reached: dict[FunctionType, str] = {}
-        _reach(function, reached)
-        _marks[function] = hashlib.sha256("\n".join(sorted(reached.values())).encode()).hexdigest()
-    return _marks[function]
-
-
 def _reach(function: FunctionType, reached: dict[FunctionType, str]) -> None:
-    """Add to ``reached`` a function with its description (without the functions that it calls), and
-    then those functions.
-    """
+    """Add a function's description to ``reached``, and those of all that it calls."""
     if function in reached:
         return
     reached[function] = ""
     codes = [function.__code__]
     parts: list[str] = [f"{function.__module__}.{function.__qualname__}"]
     called: list[FunctionType] = []
-    space = function.__globals__
-    held = dict(
-        zip(
-            function.__code__.co_freevars,
-            (c.cell_contents for c in function.__closure__ or ()),
-            strict=True,
-        )
-    )
+    cells = (c.cell_contents for c in function.__closure__ or ())
+    space = function.__globals__ | dict(zip(function.__code__.co_freevars, cells, strict=True))
     while codes:
         code = codes.pop()
         parts += [code.co_code.hex(), repr(code.co_names), repr(code.co_varnames)]
@@ -164,7 +133,7 @@ def _reach(function: FunctionType, reached: dict[FunctionType, str]) -> None:
             if not isinstance(constant, CodeType)
         ]
         for name in (*code.co_names, *code.co_freevars):
-            value = held.get(name, space.get(name))
+            value = space.get(name)
             parts.append(f"{name} {_description(value, called)}")
             if isinstance(value, ModuleType):
                 parts += [
@@ -178,9 +147,7 @@ def _reach(function: FunctionType, reached: dict[FunctionType, str]) -> None:
 
 
 def _description(value: Any, called: list[FunctionType]) -> str:
-    """Description of a value that is the same in every process; functions that are compiled with it
-    are added to ``called``.
-    """
+    """The same in every process; functions that are compiled with the value go to ``called``."""
     # the latter of an intrinsic
     compiled = getattr(value, "py_func", getattr(value, "_defn", None))
     if isinstance(compiled, FunctionType):

@@ -21,9 +21,7 @@ from numba.core.types import unliteral
 
 
 def inlined(kernel: Any) -> Any:
-    """The dispatcher that kernels calling ``kernel`` take its code from; a call of ``kernel`` from
-    Python compiles it as before.
-    """
+    """The dispatcher of which kernels that call ``kernel`` take the code."""
     inner = _InnerDispatcher(kernel.py_func, kernel.locals, kernel.targetoptions, _InnerCompiler)
     kernel.get_call_template = inner.get_call_template
     kernel.get_overload = inner.get_overload
@@ -32,9 +30,7 @@ def inlined(kernel: Any) -> Any:
 
 
 def _uncollected(compile_: Callable[..., Any]) -> Callable[..., Any]:
-    """``compile_`` without garbage collection, which searches in vain through what a compilation
-    holds, ten times a second.
-    """
+    """Without garbage collection, which searches in vain through what a compilation holds."""
 
     def uncollected(sig: Any) -> Any:
         collects = gc.isenabled()

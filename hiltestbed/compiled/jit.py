@@ -46,9 +46,7 @@ class Kernel:
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """As ``numba.njit``, compiled at the first call; a kernel cached on disk is compiled again
-    whenever anything that it depends on has changed.
-    """
+    """As ``numba.njit``, at the first call, and again if what it depends on has changed."""
     return lambda function: Kernel(function, options)
 
 
@@ -73,9 +71,7 @@ def interpreted(kernel: Any) -> FunctionType:
 
 
 class Seldom:
-    """A kernel that Python calls a few times in most programs: it is :func:`interpreted`, and
-    compiled for a program that goes on calling it.
-    """
+    """A kernel that is :func:`interpreted` for a program's first calls, and then compiled."""
 
     def __init__(self, kernel: Any) -> None:
         self._kernel, self._left = kernel, INTERPRETED_CALLS

@@ -21,9 +21,7 @@ _DEEPEST = 12
 
 
 def arrays_of(block: Any) -> dict[str, Array]:
-    """Every writable array in ``block`` and in its parts, by a dotted name; an array with several
-    names by the first one.
-    """
+    """Every writable array in ``block`` and its parts, by its first dotted name."""
     found: dict[str, Array] = {}
     seen: set[int] = set()
     for name, array in _walk(block, "", seen, 0):

@@ -13,53 +13,45 @@ from numba.np.arrayobj import make_array, populate_array
 
 from hiltestbed.compiled.jit import njit
 
-WORD = 8  # [bytes] of an entry of the table
+WORD = np.dtype(np.int64).itemsize  # [bytes] of an entry of the table
 
 # by kernel and types of its arguments: one entry per combination of types, not per block
 _calls: dict[tuple[Any, ...], Any] = {}
 
 
-def tabled(kernel: Any, given: tuple[Any, ...]) -> tuple[Any, Any]:
-    """A compiled call of ``kernel`` that takes the address of a table, and the table of ``given``:
-    as for :func:`hiltestbed.compiled.bound.bound`.
-    """
+def tabled(kernel: Any, given: tuple[Any, ...]) -> tuple[Any, Any, list[Any]]:
+    """A compiled call of ``kernel`` with the address of a table, the table, and its arrays."""
     words: list[int] = []
-    kinds = [_entered(value, words) for value in given]
-    table = np.array(words, dtype=np.int64)
+    arrays: list[Any] = []
+    kinds = [_entered(value, words, arrays) for value in given]
     key = (kernel, *kinds)
     if key not in _calls:
         _calls[key] = _compiled(kernel, kinds)
-    return _calls[key], table
+    return _calls[key], np.array(words, dtype=np.int64), arrays
 
 
-def _entered(value: Any, words: list[int]) -> tuple[Any, ...] | None:
-    """Append a value to the ``words`` of a table. Returns the index of its first word and its type;
-    of a tuple or a list its class and the same of each of its parts; None if each call passes it.
+def _entered(value: Any, words: list[int], arrays: list[Any]) -> tuple[Any, ...] | None:
+    """Append a value to ``words`` and ``arrays``; a number is an array without dimensions. Returns
+    the index of its first word, its type and whether it is a number; of a tuple or list its
+    class and its parts; None if each call passes it.
     """
     if value is ...:
         return None
     if value is None:
         return (type(None),)
     if isinstance(value, (tuple, list)):
-        parts = [_entered(part, words) for part in value]
+        parts = [_entered(part, words, arrays) for part in value]
         if isinstance(value, list):  # of one type, so that a kernel can count through them
-            parts = [(part[0], part[1].copy(layout="A")) for part in parts if part]
+            parts = [(part[0], part[1].copy(layout="A"), False) for part in parts if part]
         return type(value), *parts
-    at = len(words)
-    if isinstance(value, np.ndarray):
-        words += [value.ctypes.data, *value.shape, *value.strides]
-        return at, _type_of(value)
-    if isinstance(value, (float, np.floating)):
-        words.append(int(np.float64(value).view(np.int64)))
-        return at, types.float64
-    words.append(int(value))
-    return at, types.boolean if isinstance(value, (bool, np.bool_)) else types.int64
+    at, array = len(words), np.asarray(value)
+    arrays.append(array)
+    words += [array.ctypes.data, *array.shape, *array.strides]
+    return at, _type_of(array), array is not value
 
 
 def _type_of(array: Any) -> Any:
-    """Numba's type, the same for one run as for several: NumPy takes a strided array for contiguous
-    if its leading axis has a single entry.
-    """
+    """Numba's type; an axis of one entry, for which NumPy takes any stride, does not change it."""
     kind: Any = typeof(array)
     if kind.layout == "C" and array.size:
         expected = array.itemsize
@@ -76,7 +68,6 @@ def _compiled(kernel: Any, kinds: list[Any]) -> Any:
     brought = [f"given_{i}" for i, kind in enumerate(kinds) if kind is None]
     space: dict[str, Any] = {
         "kernel": kernel,
-        "number": _number,
         "array": _array,
         "__name__": function.__module__,
     }
@@ -94,8 +85,7 @@ def _compiled(kernel: Any, kinds: list[Any]) -> Any:
             parts = "".join(f"{read(i, part)}, " for part in kind[1:])
             return f"({parts})" if kind[0] in (tuple, list) else f"{name}({parts})"
         named[name] = kind[1]
-        how = "array" if isinstance(kind[1], types.Array) else "number"
-        return f"{how}(table, {kind[0]}, {name})"
+        return f"array(table, {kind[0]}, {name}){'[()]' if kind[2] else ''}"
 
     passed = [read(i, kind) for i, kind in enumerate(kinds)]
     space |= named
@@ -110,26 +100,6 @@ def _compiled(kernel: Any, kinds: list[Any]) -> Any:
     return njit(cache=True)(space[name]).dispatcher
 
 
-def _entry(builder: Any, table: Any, at: Any, kind: Any) -> Any:
-    """The word at ``at`` of the table, as ``kind``."""
-    place = builder.add(table, builder.mul(at, at.type(WORD)))
-    return builder.load(builder.inttoptr(place, kind.as_pointer()))
-
-
-@intrinsic
-def _number(typingctx, table, at, kind):
-    """The number at an index of the table."""
-    found = kind.instance_type if hasattr(kind, "instance_type") else kind.dtype
-
-    def make(context, builder, signature, args):
-        if found == types.boolean:
-            word = _entry(builder, args[0], args[1], context.get_value_type(types.int64))
-            return builder.icmp_signed("!=", word, word.type(0))
-        return _entry(builder, args[0], args[1], context.get_value_type(found))
-
-    return found(types.int64, types.int64, kind), make
-
-
 @intrinsic
 def _array(typingctx, table, at, kind):
     """The array whose address, shape and strides begin at an index of the table."""
@@ -138,10 +108,10 @@ def _array(typingctx, table, at, kind):
     def make(context, builder, signature, args):
         ary = make_array(found)(context, builder)
         word = context.get_value_type(types.intp)
-        first = [
-            _entry(builder, args[0], builder.add(args[1], args[1].type(i)), word)
-            for i in range(1 + 2 * found.ndim)
-        ]
+        places = (builder.add(args[1], args[1].type(i)) for i in range(1 + 2 * found.ndim))
+        offsets = (builder.mul(place, place.type(WORD)) for place in places)
+        entries = (builder.add(args[0], offset) for offset in offsets)
+        first = [builder.load(builder.inttoptr(entry, word.as_pointer())) for entry in entries]
         pointer = context.get_data_type(found.dtype).as_pointer()
         populate_array(
             ary,

@@ -42,9 +42,7 @@ def compiled() -> bool:
 
 @functools.cache
 def tell_of_compiling() -> None:
-    """From now on, print a message to standard error, once, if compiling takes longer than
-    :data:`PATIENCE`.
-    """
+    """From now on, say once on standard error if compiling takes more than :data:`PATIENCE`."""
     before_the_first_kernel(listen)
 
 

@@ -10,16 +10,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from hiltestbed.config.validation import NotNegative, Positive, Problem, Strictly, refuse
 from hiltestbed.frames import Array
+from hiltestbed.signals import AXES
 
 RING = "ring"  # the body, and the beginning of the names of its joints, in the active side's file
-JOINTS = tuple(f"{RING}_{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz"))
+JOINTS = tuple(f"{RING}_{axis}" for axis in AXES)
 LEGS = tuple(f"leg_{k}" for k in range(6))
 AXIAL = 2  # z among the axes
 # phases that have a law of their own, in their order, and that which ends the last
@@ -30,6 +31,10 @@ Six = Annotated[tuple[NotNegative, ...], Field(strict=False, min_length=6, max_l
 _AXES = "of x, y, z, rx, ry, rz, 3 x"
 _STIFFNESS = f"Virtual stiffness {_AXES} [N/m] and 3 x [N m/rad]"
 _DAMPING = f"Virtual damping {_AXES} [N s/m] and 3 x [N m s/rad]"
+
+
+def _six(default: tuple[float, ...], description: str) -> Any:
+    return Field(default=default, description=description)
 
 
 class RingActuators(Strictly):
@@ -65,9 +70,7 @@ class RingActuators(Strictly):
 
     @property
     def joints(self) -> Array:
-        """``(2, 6, 3)`` joints of each leg on the base and on the ring [m], from the middle of the
-        ring's joints at rest.
-        """
+        """``(2, 6, 3)`` joints on base and ring [m], from the middle of the ring's at rest."""
         side, pair = np.tile([1.0, -1.0], 3), np.repeat([0.0, 120.0, 240.0], 2)
         base = np.radians(pair + side * self.base_half_angle_deg)
         ring = np.radians(pair + side * (60.0 - self.ring_half_angle_deg))
@@ -92,10 +95,8 @@ class CaptureLaw(Strictly):
     beside the ring's own inertia; x is its deflection from rest.
     """
 
-    stiffness: Six = Field(
-        default=(1500.0, 1500.0, 2000.0, 250.0, 250.0, 250.0), description=_STIFFNESS
-    )
-    damping: Six = Field(default=(350.0, 350.0, 540.0, 60.0, 60.0, 60.0), description=_DAMPING)
+    stiffness: Six = _six((1500.0, 1500.0, 2000.0, 250.0, 250.0, 250.0), _STIFFNESS)
+    damping: Six = _six((350.0, 350.0, 540.0, 60.0, 60.0, 60.0), _DAMPING)
     mass: Six = Field(
         default=(0.0,) * 6,
         description=f"Virtual inertia beside the ring's own, {_AXES} [kg] and 3 x [kg m^2]; a load "
@@ -106,8 +107,8 @@ class CaptureLaw(Strictly):
 class AttenuationLaw(CaptureLaw):
     """Impedance from soft capture until the relative motion has died down."""
 
-    stiffness: Six = Field(default=(300.0, 300.0, 400.0, 60.0, 60.0, 60.0), description=_STIFFNESS)
-    damping: Six = Field(default=(360.0, 360.0, 800.0, 200.0, 200.0, 200.0), description=_DAMPING)
+    stiffness: Six = _six((300.0, 300.0, 400.0, 60.0, 60.0, 60.0), _STIFFNESS)
+    damping: Six = _six((360.0, 360.0, 800.0, 200.0, 200.0, 200.0), _DAMPING)
     timeout: Positive = Field(
         default=60.0, description="Time [s] after which the phase counts as not ended"
     )
@@ -116,12 +117,8 @@ class AttenuationLaw(CaptureLaw):
 class AlignmentLaw(AttenuationLaw):
     """Impedance about a reference that moves to the centre, square to the base."""
 
-    stiffness: Six = Field(
-        default=(4000.0, 4000.0, 4000.0, 1500.0, 1500.0, 1500.0), description=_STIFFNESS
-    )
-    damping: Six = Field(
-        default=(1300.0, 1300.0, 2500.0, 1000.0, 1000.0, 1000.0), description=_DAMPING
-    )
+    stiffness: Six = _six((4000.0, 4000.0, 4000.0, 1500.0, 1500.0, 1500.0), _STIFFNESS)
+    damping: Six = _six((1300.0, 1300.0, 2500.0, 1000.0, 1000.0, 1000.0), _DAMPING)
     speed: Positive = Field(
         default=0.01, description="Highest speed of the reference along x, y and z [m/s]"
     )
@@ -135,12 +132,8 @@ class RetractionLaw(AlignmentLaw):
     seated; from then on it stands still.
     """
 
-    stiffness: Six = Field(
-        default=(4000.0, 4000.0, 20000.0, 1500.0, 1500.0, 1500.0), description=_STIFFNESS
-    )
-    damping: Six = Field(
-        default=(1300.0, 1300.0, 5600.0, 1000.0, 1000.0, 1000.0), description=_DAMPING
-    )
+    stiffness: Six = _six((4000.0, 4000.0, 20000.0, 1500.0, 1500.0, 1500.0), _STIFFNESS)
+    damping: Six = _six((1300.0, 1300.0, 5600.0, 1000.0, 1000.0, 1000.0), _DAMPING)
     speed: Positive = Field(
         default=0.005, description="Highest speed of the reference along x, y and z [m/s]"
     )
@@ -175,10 +168,10 @@ class ActiveRing(Strictly):
 
     @model_validator(mode="after")
     def _possible(self) -> ActiveRing:
-        refuse([*self._of_the_legs(), *self._active_laws()])
+        refuse(list(self._problems()))
         return self
 
-    def _of_the_legs(self) -> Iterator[Problem]:
+    def _problems(self) -> Iterator[Problem]:
         legs = self.legs
         rest = legs.lengths()
         if (short := float(rest.min())) <= legs.stroke:
@@ -199,9 +192,7 @@ class ActiveRing(Strictly):
                 f"shortens a leg by {way:.3g} m, its stroke is {legs.stroke:.3g} m; take a longer "
                 f"stroke, or a smaller depth",
             )
-
-    def _active_laws(self) -> Iterator[Problem]:
-        """A lag 1/w of the force takes stiffness/w from the damping at low frequencies."""
+        # a lag 1/w of the force takes stiffness/w from the damping at low frequencies
         lag = 1.0 / (2.0 * math.pi * self.legs.bandwidth)
         for name, law in zip(LAWS, self.laws, strict=True):
             for j, (k, c) in enumerate(zip(law.stiffness, law.damping, strict=True)):

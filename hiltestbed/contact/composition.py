@@ -29,7 +29,7 @@ from hiltestbed.contact.geometry import ACTIVE as A
 from hiltestbed.contact.geometry import FRAMES
 from hiltestbed.contact.geometry import PASSIVE as S
 from hiltestbed.contact.parameters import DAMPING, STIFFNESS, acting_contacts
-from hiltestbed.contact.sides import Pair, Sides, sides_of
+from hiltestbed.contact.sides import Sides, sides_of
 from hiltestbed.contact.wrench import LATCH_RADIUS
 from hiltestbed.effects.table import by_link
 from hiltestbed.frames import Array, quat_to_mujoco
@@ -80,17 +80,17 @@ class Structure:
         constant: whether all contacts are springs and dampers without friction, which MuJoCo's own
             collision computes exactly: nothing is written between steps.
         rubs: whether there is friction. latched: whether the sides may be latched. touches: whether
-            the sides touch; otherwise an external
-            wrench is applied. held: whether moving parts are kept fixed to their side.
+            the sides touch; otherwise an external wrench is applied. held: whether moving parts are
+            kept fixed to their side.
         mechanism: one of this shape.
     """
 
     shape: Hashable
-    mounted: bool
-    constant: bool
-    rubs: bool
-    latched: bool
     mechanism: Mechanism = field(compare=False)
+    mounted: bool = False
+    constant: bool = True
+    rubs: bool = False
+    latched: bool = False
     touches: bool = True
     held: bool = False
 
@@ -157,27 +157,12 @@ def structure_of(mechanism: Mechanism, effects: Iterable[Effect]) -> Structure:
         not (acting or rubs or mounted or latched or mechanism.phases())
         and sides_of(mechanism).exact
     )
-    return Structure(mechanism.shape(), mounted, constant, rubs, latched, mechanism)
+    return Structure(mechanism.shape(), mechanism, mounted, constant, rubs, latched)
 
 
 def drawn(mechanism: Mechanism) -> Structure:
     """A mechanism on a rigid mount without contacts, for drawing or weighing."""
-    return Structure(
-        mechanism.shape(),
-        mounted=False,
-        constant=True,
-        rubs=False,
-        latched=False,
-        mechanism=mechanism,
-        touches=False,
-    )
-
-
-def add_active(
-    spec: mujoco.MjSpec, structure: Structure, body: mujoco.MjsBody, plane: Array, height: Array
-) -> None:
-    """Attach the active side to ``body``, A at ``plane`` + ``height`` (3,) [m], axes alike."""
-    add_side(spec, structure.mechanism, ACTIVE, body, plane, height)
+    return Structure(mechanism.shape(), mechanism, touches=False)
 
 
 def add_passive(spec: mujoco.MjSpec, structure: Structure, carrier: mujoco.MjsBody) -> None:
@@ -214,11 +199,19 @@ def add_contact(spec: mujoco.MjSpec, structure: Structure) -> None:
         for k, pair in enumerate((*sides.facets, *sides.native)):
             _pair(spec, f"native_{k}", ACTIVE + pair.active, PASSIVE + pair.passive, rubs=False)
     else:
-        for k in range(len(sides.facets)):
-            _facet(spec, k, sides, structure.rubs)
-        for k, pair in enumerate(sides.native):
-            _native(spec, k, pair, structure.rubs)
-    _latches(spec, structure)
+        _add_facets(spec, sides, structure.rubs)
+        _add_native(spec, sides, structure.rubs)
+    for closure in closures_of(structure):  # none is active
+        active, passive = (body_of(spec, sides, frame) for frame in closure.frames)
+        spec.add_equality(
+            name=closure.name,
+            type=mujoco.mjtEq.mjEQ_WELD if closure.turns else mujoco.mjtEq.mjEQ_CONNECT,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1=passive,
+            name2=active,
+            active=False,
+            solimp=CONTACT_SOLIMP,
+        )
 
 
 def add_side(
@@ -246,8 +239,8 @@ def weigh_contact(model: mujoco.MjModel, carrier: str, held: bool = False) -> No
     of the active side's ``carrier``.
 
     MuJoCo's soft force is f = (a_ref - a)/R with R = A (1 - d)/d. A is the sum of both bodies'
-    ``body_invweight0``, a the acceleration at
-    the contact: f is d a/A less than K x + C v. If A is MuJoCo's estimate of y, the carrier's
+    ``body_invweight0``, a the acceleration at the contact: f is d a/A less than K x + C v. If A is
+    MuJoCo's estimate of y, the carrier's
         acceleration per newton, the error is a fraction d of the force along the normal, and
         several times that across it. Here A is set to 1/kg, so that the fraction is d y, 3e-7 on a
         platform of 334 kg. Only contacts and latches use this weight: the carrier is a separate
@@ -256,29 +249,9 @@ def weigh_contact(model: mujoco.MjModel, carrier: str, held: bool = False) -> No
     ``held``: parts that move on the carrier are kept fixed.
     """
     fixed, parts = carried_by(model, carrier)
-    _weigh_parts(model, parts, held)
     model.body_invweight0[fixed] = INVERSE_WEIGHT
-
-
-def carried_by(model: mujoco.MjModel, carrier: str) -> tuple[list[int], list[int]]:
-    """Numbers of the bodies fixed to the ``carrier``, with itself, and of those moving on it."""
-    body = model.body(carrier).id
-    fixed, parts = [body], []
-    for other in range(body + 1, model.nbody):
-        if model.body_parentid[other] in parts:
-            parts.append(other)
-        elif model.body_parentid[other] in fixed:
-            (fixed if model.body_weldid[other] == model.body_weldid[body] else parts).append(other)
-    return fixed, parts
-
-
-def _weigh_parts(model: mujoco.MjModel, parts: list[int], held: bool) -> None:
-    """Set the inverse weights of the ``parts`` (for friction, limits and contacts) as if their
-    carrier were fixed; bodies that are welded together get the same.
-
-    MuJoCo's own inverse weights include the joints of the rig, which would make a sticking joint's
-    friction creep.
-    """
+    # The parts have weights (for friction, limits and contacts) as if their carrier were fixed;
+    # MuJoCo's own include the joints of the rig, which would make a sticking joint's friction creep
     dofs = np.flatnonzero(np.isin(model.dof_bodyid, parts))
     if not dofs.size:
         return
@@ -301,10 +274,20 @@ def _weigh_parts(model: mujoco.MjModel, parts: list[int], held: bool) -> None:
         model.dof_armature[dofs] = IMMOVABLE
 
 
+def carried_by(model: mujoco.MjModel, carrier: str) -> tuple[list[int], list[int]]:
+    """Numbers of the bodies fixed to the ``carrier``, with itself, and of those moving on it."""
+    body = model.body(carrier).id
+    fixed, parts = [body], []
+    for other in range(body + 1, model.nbody):
+        if model.body_parentid[other] in parts:
+            parts.append(other)
+        elif model.body_parentid[other] in fixed:
+            (fixed if model.body_weldid[other] == model.body_weldid[body] else parts).append(other)
+    return fixed, parts
+
+
 def _put(weights: Array, at: NDArray[np.int_] | int, value: Array | float) -> None:
-    """Write ``value`` where MuJoCo's own differs by more than 1e-6; the motion of a prescribed,
-    very heavy carrier is less than that.
-    """
+    """Write ``value``, unless MuJoCo's own differs by the motion of a very heavy carrier only."""
     weights[at] = np.where(np.isclose(weights[at], value, rtol=1e-6, atol=0.0), weights[at], value)
 
 
@@ -334,9 +317,7 @@ def _pair(spec: mujoco.MjSpec, name: str, active: str, passive: str, rubs: bool)
 
 
 def body_of(spec: mujoco.MjSpec, sides: Sides, frame: int) -> str:
-    """The name of the body to which the frame number ``frame`` is fixed: that of the port's site,
-    or the moving part; everything welded to it, at any depth, is placed in this frame.
-    """
+    """The body to which a frame is fixed: that of the port's site, or a moving part."""
     if frame < FRAMES:
         site = (ACTIVE + "A", PASSIVE + "P")[frame]
         return spec.site(site).parent.name
@@ -344,56 +325,37 @@ def body_of(spec: mujoco.MjSpec, sides: Sides, frame: int) -> str:
     return PREFIXES[port] + body
 
 
-def _facet(spec: mujoco.MjSpec, k: int, sides: Sides, rubs: bool) -> None:
-    """Add a box to the body that carries the frame of the surface, and to that of the round a
-    ball, which for a rod is placed at its nearest point.
-    """
-    rounds, surfaces, radius = sides.candidate(k)
+def _add_facets(spec: mujoco.MjSpec, sides: Sides, rubs: bool) -> None:
+    """A box in the frame of each surface, a ball in that of its round."""
     box, ball = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
-    spec.body(body_of(spec, sides, surfaces)).add_geom(
-        name=f"facet_{k}", type=box, size=FACET, pos=[0.0, 0.0, AWAY], quat=_UNALIGNED, **_UNSEEN
-    )
-    spec.body(body_of(spec, sides, rounds)).add_geom(
-        name=f"ball_{k}", type=ball, size=[radius, 0.0, 0.0], pos=PROXY, **_UNSEEN
-    )
-    _pair(spec, f"facet_{k}", f"ball_{k}", f"facet_{k}", rubs)
+    away = {"size": FACET, "pos": [0.0, 0.0, AWAY], "quat": _UNALIGNED}
+    for k in range(len(sides.facets)):
+        rounds, surfaces, radius = sides.candidate(k)
+        surface, body = (spec.body(body_of(spec, sides, f)) for f in (surfaces, rounds))
+        surface.add_geom(name=f"facet_{k}", type=box, **away, **_UNSEEN)
+        body.add_geom(name=f"ball_{k}", type=ball, size=[radius, 0.0, 0.0], pos=PROXY, **_UNSEEN)
+        _pair(spec, f"facet_{k}", f"ball_{k}", f"facet_{k}", rubs)
 
 
-def _native(spec: mujoco.MjSpec, k: int, pair: Pair, rubs: bool) -> None:
-    """Add a pair for MuJoCo's own collision detection, and a sensor of its deepest point."""
-    active, passive = ACTIVE + pair.active, PASSIVE + pair.passive
-    _pair(spec, f"native_{k}", active, passive, rubs)
+def _add_native(spec: mujoco.MjSpec, sides: Sides, rubs: bool) -> None:
+    """Pairs for MuJoCo's own collision detection, each with a sensor of its deepest point."""
     geom = mujoco.mjtObj.mjOBJ_GEOM
-    sensor = spec.add_sensor(
-        name=f"native_{k}",
-        type=mujoco.mjtSensor.mjSENS_CONTACT,
-        objtype=geom,
-        objname=active,
-        reftype=geom,
-        refname=passive,
-    )
-    sensor.intprm = [sum(1 << int(part) for part in _READ), DEEPEST, 1]
-
-
-def _latches(spec: mujoco.MjSpec, structure: Structure) -> None:
-    """Add an equality between the bodies that carry the sites of each closure; none is active."""
-    for closure in closures_of(structure):
-        active, passive = (body_of(spec, structure.sides, frame) for frame in closure.frames)
-        spec.add_equality(
-            name=closure.name,
-            type=mujoco.mjtEq.mjEQ_WELD if closure.turns else mujoco.mjtEq.mjEQ_CONNECT,
-            objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1=passive,
-            name2=active,
-            active=False,
-            solimp=CONTACT_SOLIMP,
+    for k, pair in enumerate(sides.native):
+        active, passive = ACTIVE + pair.active, PASSIVE + pair.passive
+        _pair(spec, f"native_{k}", active, passive, rubs)
+        sensor = spec.add_sensor(
+            name=f"native_{k}",
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=geom,
+            objname=active,
+            reftype=geom,
+            refname=passive,
         )
+        sensor.intprm = [sum(1 << int(part) for part in _READ), DEEPEST, 1]
 
 
 def set_linear(batch: Batch, laws: Array) -> None:
-    """Set the pairs of a ``constant`` structure to the stiffness and damping of their ``laws`` (n,
-    T + 1, PARAMETERS).
-    """
+    """Set the pairs of a ``constant`` structure from their ``laws`` (n, T + 1, PARAMETERS)."""
     m, count = batch.model, laws.shape[1] - 1
     pairs = [m.pair(f"native_{k}").id for k in range(count)]
     geoms = np.stack([m.pair_geom1, m.pair_geom2])[:, pairs]

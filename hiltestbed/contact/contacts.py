@@ -15,9 +15,9 @@ from hiltestbed.contact.composition import ACTIVE, Structure, set_linear
 from hiltestbed.contact.engagement import Engagement
 from hiltestbed.contact.mount import Mounts
 from hiltestbed.contact.parameters import MechanismParameters
-from hiltestbed.contact.wrench import load_body, to_frame
+from hiltestbed.contact.wrench import load_body
 from hiltestbed.errors import InputError
-from hiltestbed.frames import Array, rotate, rotate_back
+from hiltestbed.frames import Array, rotate, rotate_back, wrench_moved
 
 
 class AppliedForce(Protocol):
@@ -120,7 +120,7 @@ class Contacts:
             self._pull[:] = self._force.next()
             if place is not None:
                 for at, wrench in zip(place, self._pull, strict=True):
-                    to_frame(at, wrench.copy(), wrench)
+                    wrench_moved(at, wrench.copy(), wrench)
         if self._pulls:
             centres(pose, self._arm, self._centre)
             load_body(-1.0, self._pull, self._active, self._centre, self._applied)

@@ -9,6 +9,7 @@ and actuators in the two files; ``*`` stands for any characters.
 from __future__ import annotations
 
 from fnmatch import fnmatchcase
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -171,8 +172,11 @@ class MechanismFile(_Strict):
         return self
 
 
-def read(path: Path) -> MechanismFile:
-    """The description in the file ``path``. Raises InputError with all its faults."""
+@lru_cache(maxsize=32)
+def read(path: Path, stamp: int) -> MechanismFile:
+    """The description in the file ``path``, changed at ``stamp``. Raises InputError with all its
+    faults.
+    """
     try:
         tree = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
         return MechanismFile.model_validate(tree)

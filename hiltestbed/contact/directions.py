@@ -18,8 +18,8 @@ from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.contact.touch import BEYOND, INSERTION, STOPS, Impact, Meeting, first_touch
 from hiltestbed.contact.wrench import LATCH_RADIUS
 from hiltestbed.frames import Array, pose_step
+from hiltestbed.signals import AXES
 
-AXES = ("x", "y", "z", "rx", "ry", "rz")
 ALIKE = 1e-6  # largest difference between the components of two equal directions
 
 
@@ -102,10 +102,8 @@ def directions(impact: Impact) -> list[Direction]:
 
 
 def _modes(latch: ContactParameters, inverse: Array, when: str) -> list[Direction]:
-    """The modes phi of a latch's six springs K between both bodies, K phi = w^2 M phi. A mode is
-    named after the axis with most of its energy, to whose displacement mass, stiffness and damping
-    refer. The ratio c/k is equal for all six springs, so that a mode is one direction, J = phi^T
-    K/(phi^T K phi).
+    """The modes K phi = w^2 M phi of a latch's six springs, each named after the axis with most of
+    its energy, to whose displacement its numbers refer: J = phi^T K/(phi^T K phi).
     """
     springs = latch.stiffness * np.array([1.0] * 3 + [LATCH_RADIUS**2] * 3)
     root = np.sqrt(springs)

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import interpreted, njit
+from hiltestbed.contact import parameters as cp
 from hiltestbed.contact.composition import (
     ACTIVE,
     LATCH,
@@ -52,14 +53,7 @@ from hiltestbed.contact.geometry import PASSIVE as S
 from hiltestbed.contact.latches import Latches, hold
 from hiltestbed.contact.law import STATES
 from hiltestbed.contact.legs import RingLegs
-from hiltestbed.contact.parameters import (
-    ADHESION,
-    FRICTION,
-    LINEAR,
-    MODE,
-    OFFSET,
-    ContactParameters,
-)  # fmt: skip
+from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.contact.wrench import tilts
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_mul, rotate_back
@@ -80,8 +74,8 @@ class Engagement:
             bool, whether any latch is closed. latches: all of them. legs: of an active
             ring, or None.
         pull: (n, 6) the part of the wrench on the passive side that MuJoCo's contacts do not exert,
-            in W at W's origin; pulls: whether
-            there can be any. stage: up to which MuJoCo must have computed the forward dynamics
+            in W at W's origin; pulls: whether there can be any. stage: up to which MuJoCo must have
+            computed the forward dynamics
                 before :meth:`update`.
         tilt: (n, 7) pose of S in its nominal frame.
     """
@@ -95,33 +89,40 @@ class Engagement:
         least_creep: float,
     ) -> None:
         """``laws``: (n, T + 1, PARAMETERS), the latch's last. ``dt`` [s] between two instants;
-        ``least_creep`` [m/s per N] limits the slope of friction
-        to what one step can resolve, v_0 >= least_creep mu |F|.
+        ``least_creep`` [m/s per N] limits the slope of friction to what one step can resolve, v_0
+        >= least_creep mu |F|.
         """
         n, sides = len(laws), structure.sides
-        self._geometry, self._facets = sides.geometry, len(sides.facets)
         pairs = (*sides.facets, *sides.native)
         self.parameters = laws
-        self.linear = _linear(self.parameters[:, :-1])
+        neutral = ContactParameters(1.0).row()
+        # whether only a linear spring and damper act along the normal
+        self.linear = np.all(laws[:, :-1, cp.LINEAR] == neutral[cp.LINEAR], axis=-1)
         self._live = np.ones((n, len(pairs)), dtype=bool)
         self.tilt = tilts(self.parameters[:, -1])
-        self._bodies = _Bodies(batch, structure, self.tilt)
-        self._pairs = _Pairs(batch, structure, self.parameters)
+        self._bodies, self._parts = _carried(batch, structure, self.tilt)
+        self._inputs, gain, self._reading = _inputs(batch, structure, laws)
         self.state = np.zeros((n, len(pairs) + 1, STATES))
         self.met = np.zeros((n, len(pairs), MET))
         self.wrench = np.zeros((n, 6))
         self.pull = np.zeros((n, 6))
         self.touching = np.zeros(n, dtype=bool)
         self.pulls = bool(
-            (self.parameters[:, :-1, ADHESION] > 0.0).any()
-            or (self.parameters[:, :-1, MODE] > 0.0).any()
+            (self.parameters[:, :-1, cp.ADHESION] > 0.0).any()
+            or (self.parameters[:, :-1, cp.MODE] > 0.0).any()
         )
         self.latches = Latches(batch, structure, self.parameters[:, -1])
         ring = structure.mechanism.actuated()
         self.legs = None if ring is None else RingLegs(batch, ring, n, dt)
         self._captured = structure.mechanism.captured
         self.latched = np.zeros(n, dtype=bool)
-        self._updated = Call(_update, (GIVEN,) * 4, *self._parts(dt, least_creep))
+        own = Laws(dt, least_creep, self.parameters, self.linear, self._live, gain)
+        felt = FacetState(self.state, self.met, self.wrench, self.pull, self.touching)
+        bodies, inputs, count = self._bodies, self._inputs, len(sides.facets)
+        facets = (sides.geometry, own, bodies, inputs, felt) if count else None
+        native = (count, self._reading, own, inputs, felt) if sides.native else None
+        given = self._parts, felt, facets, native, self.latches.holding(dt, bodies), self.latched
+        self._updated = Call(_update, (GIVEN,) * 4, bodies, *given)
         k = self.latches.number(LATCH) if structure.latched else None
         self._relative = None if k is None else (self.latches.pose[:, k], self.latches.twist[:, k])
         moves = bool(sides.native or sides.frames)
@@ -137,32 +138,15 @@ class Engagement:
         if self.legs is not None:
             self.legs.reset()
 
-    def _parts(self, dt: float, least_creep: float) -> tuple[Any, ...]:
-        """What :func:`_update` is given after the poses; None for what the sides have not."""
-        b, p = self._bodies, self._pairs
-        laws = Laws(dt, least_creep, self.parameters, self.linear, self._live, p.gain)
-        felt = FacetState(self.state, self.met, self.wrench, self.pull, self.touching)
-        facets = (self._geometry, laws, b.bodies, p.inputs, felt) if self._facets else None
-        native = p.reading.shape[1] > 0
-        return (
-            b.bodies,
-            b.parts,
-            felt,
-            facets,
-            (self._facets, p.reading, laws, p.inputs, felt) if native else None,
-            self.latches.holding(dt, b.bodies),
-            self.latched,
-        )
-
     @property
     def frames(self) -> Array:
         """(n, F, 7) poses in W of A, S and moving parts, at the last update."""
-        return self._bodies.bodies.frames
+        return self._bodies.frames
 
     @property
     def motions(self) -> Array:
         """(n, F, 6) their twists."""
-        return self._bodies.bodies.motions
+        return self._bodies.motions
 
     def update(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
         """Update MuJoCo's contacts, once per instant, for poses and twists in W of A and of S."""
@@ -199,77 +183,56 @@ class Engagement:
         return self._relative
 
 
-def _linear(rows: Array) -> NDArray[np.bool_]:
-    """Whether only a linear spring and damper act along the normal."""
-    neutral = ContactParameters(1.0).row()
-    return np.all(rows[..., LINEAR] == neutral[LINEAR], axis=-1)
+def _carried(batch: Batch, structure: Structure, tilt: Array) -> tuple[CarriedFrames, Any]:
+    """The frames; MuJoCo's indices and arrays of moving parts, None without any."""
+    n, m, names = len(tilt), batch.model, structure.sides.frames
+    count = FRAMES + len(names)
+    carry = np.zeros((n, count, 7))
+    carry[..., 6] = 1.0
+    for f, (prefix, port) in enumerate(((ACTIVE, "A"), (PASSIVE, "P"))):
+        site = m.site(prefix + port)
+        carry[:, f, :3], carry[:, f, 3:] = site.pos, site.quat[[1, 2, 3, 0]]
+    for i in range(n):
+        q = np.empty(4)
+        interpreted(quat_mul)(carry[i, S, 3:7], tilt[i, 3:7], q)
+        carry[i, S, 3:7] = q
+    bodies = CarriedFrames(np.zeros((n, count, 7)), np.zeros((n, count, 6)), carry)
+    if not names:
+        return bodies, None
+    ids = np.array([m.body(PREFIXES[side] + body).id for side, body in names], dtype=np.int64)
+    columns = {"xpos": 3, "xquat": 4, "cvel": 6, "subtree_com": 3}
+    read = [batch.bind(name).reshape(n, -1, size) for name, size in columns.items()]
+    return bodies, (ids, m.body_rootid[ids].astype(np.int64), *read)
 
 
-class _Bodies:
-    """The frames to which geoms and sites are fixed.
-
-    Attributes:
-        bodies: their poses and twists. parts: MuJoCo's indices and arrays of moving parts, if any.
-    """
-
-    def __init__(self, batch: Batch, structure: Structure, tilt: Array) -> None:
-        n, m, names = len(tilt), batch.model, structure.sides.frames
-        count = FRAMES + len(names)
-        carry = np.zeros((n, count, 7))
-        carry[..., 6] = 1.0
-        for f, (prefix, port) in enumerate(((ACTIVE, "A"), (PASSIVE, "P"))):
-            site = m.site(prefix + port)
-            carry[:, f, :3], carry[:, f, 3:] = site.pos, site.quat[[1, 2, 3, 0]]
-        for i in range(n):
-            q = np.empty(4)
-            interpreted(quat_mul)(carry[i, S, 3:7], tilt[i, 3:7], q)
-            carry[i, S, 3:7] = q
-        self.bodies = CarriedFrames(np.zeros((n, count, 7)), np.zeros((n, count, 6)), carry)
-        ids = np.array([m.body(PREFIXES[side] + body).id for side, body in names], dtype=np.int64)
-        self.parts: tuple[Any, ...] | None = None
-        if names:
-            roots = m.body_rootid[ids].astype(np.int64)
-            columns = {"xpos": 3, "xquat": 4, "cvel": 6, "subtree_com": 3}
-            read = [batch.bind(name).reshape(n, -1, size) for name, size in columns.items()]
-            self.parts = (ids, roots, *read)
-
-
-class _Pairs:
-    """MuJoCo's pairs and facets.
-
-    Attributes:
-        inputs: MuJoCo's arrays. gain: (n, T) g [1/kg]. reading: (n, READ native pairs) of their
-            sensors.
-    """
-
-    def __init__(self, batch: Batch, structure: Structure, parameters: Array) -> None:
-        m, sides = batch.model, structure.sides
-        facets, native = range(len(sides.facets)), range(len(sides.native))
-        names = [*(f"facet_{k}" for k in facets), *(f"native_{k}" for k in native)]
-        pairs = [m.pair(name).id for name in names]
-        geoms = [(m.geom(f"facet_{k}").id, m.geom(f"ball_{k}").id) for k in facets]
-        geoms += [(-1, -1)] * len(sides.native)
-        ids = np.array(
-            [(pair, *g) for pair, g in zip(pairs, geoms, strict=True)], dtype=np.int64
-        ).reshape(len(pairs), 3)
-        bodies = (
-            m.geom_bodyid[np.stack([m.pair_geom1[pairs], m.pair_geom2[pairs]])]
-            if pairs
-            else np.zeros((2, 0), dtype=int)
+def _inputs(batch: Batch, structure: Structure, laws: Array) -> tuple[Inputs, Array, Array]:
+    """MuJoCo's arrays of the pairs; (n, T) g [1/kg]; (n, READ native pairs) their sensors."""
+    m, sides = batch.model, structure.sides
+    facets, native = range(len(sides.facets)), range(len(sides.native))
+    names = [*(f"facet_{k}" for k in facets), *(f"native_{k}" for k in native)]
+    pairs = [m.pair(name).id for name in names]
+    geoms = [(m.geom(f"facet_{k}").id, m.geom(f"ball_{k}").id) for k in facets]
+    geoms += [(-1, -1)] * len(sides.native)
+    ids = np.array(
+        [(pair, *g) for pair, g in zip(pairs, geoms, strict=True)], dtype=np.int64
+    ).reshape(len(pairs), 3)
+    bodies = (
+        m.geom_bodyid[np.stack([m.pair_geom1[pairs], m.pair_geom2[pairs]])]
+        if pairs
+        else np.zeros((2, 0), dtype=int)
+    )
+    arrays = ("geom_pos", "geom_quat", "pair_solref", "pair_solreffriction")
+    inputs = Inputs(ids, *(batch.expand(name) for name in arrays))
+    inputs.friction[:, pairs] = 2.0 * NO_DAMPING
+    if structure.rubs:
+        batch.expand("pair_friction")[:, pairs, :2] = WIDE * np.maximum(
+            laws[:, :-1, cp.FRICTION, None], 1e-4
         )
-        self.gain = np.tile(inverse_mass(m, bodies), (len(parameters), 1))
-        arrays = ("geom_pos", "geom_quat", "pair_solref", "pair_solreffriction")
-        self.inputs = Inputs(ids, *(batch.expand(name) for name in arrays))
-        self.inputs.friction[:, pairs] = 2.0 * NO_DAMPING
-        if structure.rubs:
-            batch.expand("pair_friction")[:, pairs, :2] = WIDE * np.maximum(
-                parameters[:, :-1, FRICTION, None], 1e-4
-            )
-        if (parameters[:, :-1, OFFSET] < 0.0).any() and sides.native:
-            batch.expand("pair_margin")[:, pairs] = np.maximum(-parameters[:, :-1, OFFSET], 0.0)
-        reading = batch.bind("sensordata")
-        first = int(m.sensor("native_0").adr[0]) if sides.native else 0
-        self.reading = reading[:, first : first + READ * len(sides.native)]
+    if (laws[:, :-1, cp.OFFSET] < 0.0).any() and sides.native:
+        batch.expand("pair_margin")[:, pairs] = np.maximum(-laws[:, :-1, cp.OFFSET], 0.0)
+    first = int(m.sensor("native_0").adr[0]) if sides.native else 0
+    reading = batch.bind("sensordata")[:, first : first + READ * len(sides.native)]
+    return inputs, np.tile(inverse_mass(m, bodies), (len(laws), 1)), reading
 
 
 @njit(cache=True)
@@ -283,7 +246,21 @@ def _update(sides, bodies, parts, felt, facets, native, closures, latched):
         for j in range(6):
             motions[i, A, j], motions[i, S, j] = twist[i, j], motion[i, j]
     if parts is not None:
-        _move_parts(*parts, frames, motions)
+        ids, roots, xpos, xquat, cvel, com = parts
+        # ``cvel`` is at the centre of mass of its tree, angular first
+        for i in range(frames.shape[0]):
+            for k in range(ids.shape[0]):
+                b, at = ids[k], com[i, roots[k]]
+                frame, moved = frames[i, FRAMES + k], motions[i, FRAMES + k]
+                for j in range(3):
+                    frame[j] = xpos[i, b, j]
+                    frame[3 + j] = xquat[i, b, 1 + j]
+                    moved[3 + j] = cvel[i, b, j]
+                frame[6] = xquat[i, b, 0]
+                rx, ry, rz = frame[0] - at[0], frame[1] - at[1], frame[2] - at[2]
+                moved[0] = cvel[i, b, 3] + moved[4] * rz - moved[5] * ry
+                moved[1] = cvel[i, b, 4] + moved[5] * rx - moved[3] * rz
+                moved[2] = cvel[i, b, 5] + moved[3] * ry - moved[4] * rx
     if facets is not None:
         touch_facets(*facets)
     else:
@@ -296,21 +273,3 @@ def _update(sides, bodies, parts, felt, facets, native, closures, latched):
         hold(*closures)
         for i in range(latched.shape[0]):
             felt.touching[i] |= latched[i]
-
-
-@njit(cache=True)
-def _move_parts(ids, roots, xpos, xquat, cvel, com, frames, motions):
-    """Poses and twists of bodies; ``cvel`` is at the centre of mass of its tree, angular first."""
-    for i in range(frames.shape[0]):
-        for k in range(ids.shape[0]):
-            b, at = ids[k], com[i, roots[k]]
-            pose, twist = frames[i, FRAMES + k], motions[i, FRAMES + k]
-            for j in range(3):
-                pose[j] = xpos[i, b, j]
-                pose[3 + j] = xquat[i, b, 1 + j]
-                twist[3 + j] = cvel[i, b, j]
-            pose[6] = xquat[i, b, 0]
-            rx, ry, rz = pose[0] - at[0], pose[1] - at[1], pose[2] - at[2]
-            twist[0] = cvel[i, b, 3] + twist[4] * rz - twist[5] * ry
-            twist[1] = cvel[i, b, 4] + twist[5] * rx - twist[3] * rz
-            twist[2] = cvel[i, b, 5] + twist[3] * ry - twist[4] * rx

@@ -11,17 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.composition import (
-    AWAY,
-    DIST,
-    FACET,
-    FOUND,
-    LINVEL,
-    NO_DAMPING,
-    NORMAL,
-    POS,
-    READ,
-)  # fmt: skip
+from hiltestbed.contact import composition as co
 from hiltestbed.contact.geometry import RADIUS, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, VALUES, unmet
 from hiltestbed.contact.law import touches
 from hiltestbed.contact.parameters import DAMPING, OFFSET, STIFFNESS
@@ -75,45 +65,27 @@ class FacetState(NamedTuple):
 
 @njit(cache=True)
 def spring(linear, row, push, drag, show, g, solref, friction):
-    """MuJoCo's solref for a contact that it sees ``show`` [m] deep, for a normal force ``push`` [N]
-    and friction ``drag`` [N s/m].
-    """
+    """MuJoCo's solref of a contact seen ``show`` [m] deep for ``push`` [N] and ``drag`` [N s/m]."""
     if linear:
         solref[0] = -row[STIFFNESS] * g
-        solref[1] = min(-row[DAMPING] * g, NO_DAMPING)
+        solref[1] = min(-row[DAMPING] * g, co.NO_DAMPING)
     else:
-        solref[0] = min(-push * g / show, NO_DAMPING)
-        solref[1] = NO_DAMPING
+        solref[0] = min(-push * g / show, co.NO_DAMPING)
+        solref[1] = co.NO_DAMPING
     friction[0] = NO_FRICTION * g
-    friction[1] = min(-drag * g, NO_DAMPING)
-
-
-@njit(cache=True)
-def outwards(point, normal, slip, place, side, out):
-    """Point, normal and slip in W, with the normal as the direction of the force on the passive
-    side, the slip that of the active side.
-    """
-    rotate(place[3:7], point, out[POINT : POINT + 3])
-    rotate(place[3:7], normal, out[NORM : NORM + 3])
-    rotate(place[3:7], slip, out[SLIP : SLIP + 3])
-    for j in range(3):
-        out[POINT + j] += place[j]
-        out[NORM + j] *= side
-        out[SLIP + j] *= side
+    friction[1] = min(-drag * g, co.NO_DAMPING)
 
 
 @njit(cache=True)
 def pose_facet(i, c, show, geometry, bodies, inputs, point, normal, work):
-    """Place the facet of contact ``c`` in the tangent plane and the ball ``show`` [m] into it, so
-    that MuJoCo's contact is at ``point`` (3,).
-    """
+    """Place facet ``c`` in the tangent plane, its ball ``show`` [m] in it, at ``point`` (3,)."""
     index, values = geometry
     surface, round_ = index[c * ROW + SURFACE_FRAME], index[c * ROW + ROUND_FRAME]
     radius, ids = values[c * VALUES + RADIUS], inputs.ids[c]
     frames, carry, geom_pos = bodies.frames[i], bodies.carry[i], inputs.geom_pos[i]
     at, turn = work[0], work[1]
     for j in range(3):
-        at[j] = point[j] + normal[j] * (FACET[2] - 0.5 * show)
+        at[j] = point[j] + normal[j] * (co.FACET[2] - 0.5 * show)
     rotate(carry[surface, 3:7], at[0:3], at[0:3])
     for j in range(3):
         geom_pos[ids[1], j] = at[j] + carry[surface, j]
@@ -158,20 +130,26 @@ def touch_facets(geometry, laws, bodies, inputs, felt):
             row, out, at, n, v = p[i, c], met[i, c], point[c], normal[c], slip[c]
             out[0], out[1], out[PUSH], out[DRAG] = depth[c], rate[c], 0.0, 0.0
             if not live[i, c]:
-                geom_pos[i, ids[c, 1], 2] = AWAY
+                geom_pos[i, ids[c, 1], 2] = co.AWAY
                 continue
             push, drag = law_of(dt, least_creep, row, state[i, c], depth[c], rate[c], v)
             if depth[c] <= row[OFFSET] and push == 0.0:
-                geom_pos[i, ids[c, 1], 2] = AWAY
+                geom_pos[i, ids[c, 1], 2] = co.AWAY
                 continue
             touching[i] |= touches(depth[c], push, row)
             out[PUSH], out[DRAG] = push, drag
             place, side = frames[i, index[c * ROW + SURFACE_FRAME]], index[c * ROW + SIDE]
-            outwards(at, n, v, place, side, out)
+            rotate(place[3:7], at, out[POINT : POINT + 3])
+            rotate(place[3:7], n, out[NORM : NORM + 3])
+            rotate(place[3:7], v, out[SLIP : SLIP + 3])
+            for j in range(3):
+                out[POINT + j] += place[j]
+                out[NORM + j] *= side
+                out[SLIP + j] *= side
             add_contact(push, drag, at, n, v, place, side, f, wrench[i])
             if push < 0.0:
                 add_contact(push, drag, at, n, v, place, side, f, pull[i])
-                geom_pos[i, ids[c, 1], 2] = AWAY
+                geom_pos[i, ids[c, 1], 2] = co.AWAY
                 continue
             show, k = max(depth[c] - row[OFFSET], LEAST), ids[c, 0]
             pose_facet(i, c, show, geometry, bodies, inputs, at, n, work)
@@ -187,16 +165,16 @@ def touch_natively(facets, reading, laws, inputs, felt):
     f, slip = np.empty(6), np.zeros(3)
     for i in range(met.shape[0]):
         for native in range(ids.shape[0] - facets):
-            c, said = facets + native, reading[i, native * READ : (native + 1) * READ]
-            row, out, points = p[i, c], met[i, c], said[FOUND]
+            c, said = facets + native, reading[i, native * co.READ : (native + 1) * co.READ]
+            row, out, points = p[i, c], met[i, c], said[co.FOUND]
             out[:] = 0.0
-            out[0] = -said[DIST] if points > 0.0 else -1.0
+            out[0] = -said[co.DIST] if points > 0.0 else -1.0
             if points == 0.0:
                 if not linear[i, c]:
                     law_of(dt, least_creep, row, state[i, c], -1.0, 0.0, slip)
                 continue
-            depth, out[1] = out[0], -said[LINVEL]
-            slip[0], slip[1] = said[LINVEL + 1], said[LINVEL + 2]
+            depth, out[1] = out[0], -said[co.LINVEL]
+            slip[0], slip[1] = said[co.LINVEL + 1], said[co.LINVEL + 2]
             push, drag = 0.0, 0.0
             if live[i, c]:
                 push, drag = law_of(dt, least_creep, row, state[i, c], depth, out[1], slip)
@@ -208,8 +186,8 @@ def touch_natively(facets, reading, laws, inputs, felt):
             touching[i] |= live[i, c] and touches(depth, push, row)
             out[PUSH], out[DRAG] = push, drag
             for j in range(3):
-                out[POINT + j], out[NORM + j] = said[POS + j], said[NORMAL + j]
-                f[j] = push * said[NORMAL + j]
+                out[POINT + j], out[NORM + j] = said[co.POS + j], said[co.NORMAL + j]
+                f[j] = push * said[co.NORMAL + j]
             add_at(out[POINT : POINT + 3], f, wrench[i])
             if push < 0.0:
                 add_at(out[POINT : POINT + 3], f, pull[i])

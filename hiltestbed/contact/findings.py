@@ -17,7 +17,7 @@ from hiltestbed.contact.phases import actuators_of, dropped_by, joints_of
 from hiltestbed.contact.sides import Pair, Sides, sides_of
 from hiltestbed.contact.touch import BEYOND, Meeting, nothing_met
 from hiltestbed.errors import InputError
-from hiltestbed.frames import Array, quat_from_attitude_deg, quat_to_mujoco
+from hiltestbed.frames import quat_from_attitude_deg, quat_to_mujoco
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
@@ -60,7 +60,25 @@ def _overlaps(scenario: ScenarioLike, sides: Sides, model: mujoco.MjModel) -> It
     pose = np.array(
         [*approach.offset, -approach.gap, *quat_from_attitude_deg(approach.attitude_deg)]
     )
-    deep = [(depth, pair) for depth, pair in _penetrations(sides, model, pose) if depth > OVERLAP]
+    data = mujoco.MjData(model)
+    at = int(model.joint("A_joint").qposadr[0])
+    data.qpos[at : at + 3], data.qpos[at + 3 : at + 7] = pose[:3], quat_to_mujoco(pose[3:7])
+    mujoco.mj_kinematics(model, data)
+    depths: list[tuple[float, Pair]] = []
+    if sides.facets:
+        meeting = Meeting(sides)
+        for k, (side, name) in enumerate(sides.frames):
+            body = data.body(PREFIXES[side] + name)
+            meeting.frames[2 + k] = [*body.xpos, *body.xquat[[1, 2, 3, 0]]]
+        meeting.deepest(pose)
+        depths += zip(map(float, meeting.depth), sides.facets, strict=True)
+    for pair in sides.native:
+        ends = [
+            model.geom(prefix + name).id
+            for prefix, name in ((ACTIVE, pair.active), (PASSIVE, pair.passive))
+        ]
+        depths.append((-mujoco.mj_geomDistance(model, data, *ends, 0.1, None), pair))
+    deep = [item for item in depths if item[0] > OVERLAP]
     if deep:
         deep.sort(key=lambda item: -item[0])
         named = "; ".join(
@@ -71,27 +89,6 @@ def _overlaps(scenario: ScenarioLike, sides: Sides, model: mujoco.MjModel) -> It
             f"geoms overlap at the start: {named}; start farther away (approach.gap), or "
             f"leave the pair out"
         )
-
-
-def _penetrations(sides: Sides, model: mujoco.MjModel, pose: Array) -> Iterator[tuple[float, Pair]]:
-    """Penetration [m] of each pair with A at ``pose`` (7,) in P; parts as in their files."""
-    data = mujoco.MjData(model)
-    at = int(model.joint("A_joint").qposadr[0])
-    data.qpos[at : at + 3], data.qpos[at + 3 : at + 7] = pose[:3], quat_to_mujoco(pose[3:7])
-    mujoco.mj_kinematics(model, data)
-    if sides.facets:
-        meeting = Meeting(sides)
-        for k, (side, name) in enumerate(sides.frames):
-            body = data.body(PREFIXES[side] + name)
-            meeting.frames[2 + k] = [*body.xpos, *body.xquat[[1, 2, 3, 0]]]
-        meeting.deepest(pose)
-        yield from zip(map(float, meeting.depth), sides.facets, strict=True)
-    for pair in sides.native:
-        ends = [
-            model.geom(prefix + name).id
-            for prefix, name in ((ACTIVE, pair.active), (PASSIVE, pair.passive))
-        ]
-        yield -mujoco.mj_geomDistance(model, data, *ends, 0.1, None), pair
 
 
 def _both(mechanism: Mechanism) -> mujoco.MjModel:
@@ -119,9 +116,7 @@ def _compiled(structure: Structure, stamps: tuple[str, ...]) -> mujoco.MjModel:
 
 
 def remarks(scenario: ScenarioLike) -> list[str]:
-    """Remarks on a mechanism's contacts: which geoms may touch and how, an approach on which they
-    do not, pairs that divide their stiffness among points, meshes.
-    """
+    """On a mechanism's contacts: what may touch and how, an approach that misses, meshes."""
     mechanism = scenario.mechanism
     sides = sides_of(mechanism)
     contacts, out = mechanism.contacts(), []

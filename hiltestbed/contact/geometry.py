@@ -2,10 +2,9 @@
 normal.
 
 Dimensions come from the MJCF (:mod:`hiltestbed.contact.sides`). All surfaces of a mechanism are
-stored in two flat arrays, so that one
-compiled kernel serves every mechanism: ``index``, for each of C candidates a row of ROW integers,
-then the links of the trees; ``values``, for each a row of VALUES numbers, then profiles, triangles
-and boxes.
+stored in two flat arrays, so that one compiled kernel serves every mechanism: ``index``, for each
+of C candidates a row of ROW integers, then the links of the trees; ``values``, for each a row of
+VALUES numbers, then profiles, triangles and boxes.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.surfaces.mesh import Tree
+from hiltestbed.contact.surfaces.mesh import Tree, mesh_beyond
 from hiltestbed.contact.surfaces.profile import COLUMNS, TURNED, beyond, profile_distance
 from hiltestbed.contact.surfaces.surface import (
+    MESH,
     Surface,
     bounds,
-    segment_beyond,
     segment_distance,
     signed_distance,
 )
@@ -91,9 +90,7 @@ def unmet(count):
 
 
 class Round(NamedTuple):
-    """A ball or a rod: radius [m], both ends (2, 3) of its axis [m] in the frame number ``frame``;
-    the ends of a ball are equal.
-    """
+    """A ball or rod: radius [m] and ends (2, 3) of its axis [m], of a ball equal, in a frame."""
 
     radius: float
     ends: Array
@@ -212,10 +209,16 @@ def meet(geometry, c, pose, twist, law, work, met):
         for j in range(3):
             end[j] += pose[j] - row[PLACE + j]
         rotate_back(attitude, end, end)
-    near = _beyond(row, start, end, ball) - radius
-    if near > ahead:
-        _apart(-near, c, met)
-        return
+    if row[BOUND] < math.inf:  # the bounding sphere's distance from the axis
+        away, half = 0.0, 0.0
+        for j in range(3):
+            away += (0.5 * (start[j] + end[j]) - row[CENTRE + j]) ** 2
+            if not ball:
+                half += (0.5 * (end[j] - start[j])) ** 2
+        near = math.sqrt(away) - row[BOUND] - math.sqrt(half) - radius
+        if near > ahead:
+            _apart(-near, c, met)
+            return
     turned = index[c * ROW + KIND] == TURNED
     if ball:
         if turned:  # passing a tree as well would double the cost
@@ -225,10 +228,13 @@ def meet(geometry, c, pose, twist, law, work, met):
         for j in range(3):
             nearest[j] = start[j]
     else:
+        # a bound at a fraction of the cost; -inf if undecided
+        distance = -math.inf
         if turned:
             distance = beyond(_profile(index, values, c), start, end, radius + ahead)
-        else:
-            distance = segment_beyond(_surface(index, values, c), start, end, radius + ahead)
+        elif index[c * ROW + KIND] == MESH:
+            tree = _surface(index, values, c).tree
+            distance = mesh_beyond(tree, start, end, radius + ahead)
         if distance < radius + ahead:
             distance = segment_distance(
                 _surface(index, values, c), start, end, radius + ahead, free, nearest
@@ -259,20 +265,6 @@ def _apart(bound, c, met):
     for j in range(3):
         met.point[c, j] = met.normal[c, j] = met.slip[c, j] = 0.0
     met.depth[c], met.rate[c] = bound, 0.0
-
-
-@njit(cache=True)
-def _beyond(row, start, end, ball):
-    """Lower bound of the axis's distance [m], from the bounding sphere; 0 or less: no bound."""
-    bound = row[BOUND]
-    if not bound < math.inf:
-        return 0.0
-    away, half = 0.0, 0.0
-    for j in range(3):
-        away += (0.5 * (start[j] + end[j]) - row[CENTRE + j]) ** 2
-        if not ball:
-            half += (0.5 * (end[j] - start[j])) ** 2
-    return math.sqrt(away) - bound - math.sqrt(half)
 
 
 @njit(cache=True)

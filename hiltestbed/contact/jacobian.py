@@ -34,9 +34,7 @@ SLIDE, HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE
 
 
 class _Spring(NamedTuple):
-    """Springs along ``axes`` (3, m) in W, at a point ``place`` (3,) in W, between two bodies of
-    MuJoCo's model; ``turns``: rotational, about the axes.
-    """
+    """Springs along ``axes`` (3, m), or about them, at ``place`` (3,) in W, between two bodies."""
 
     bodies: tuple[int, int]
     place: Array
@@ -71,9 +69,7 @@ def held_pair(
 def pair_at(
     engagement: Engagement, batch: Batch, structure: Structure, i: int, place: Array
 ) -> tuple[Array, Array] | None:
-    """Stiffness and damping (6, 6), as for :func:`held_pair`, about a point ``place`` (3,) in W of
-    the active side; None if a contact with a non-linear law pushes.
-    """
+    """As :func:`held_pair`, about ``place`` (3,) in W; None if a non-linear contact pushes."""
     springs = _springs(engagement, structure, batch.model, i)
     if springs is None:
         return None
@@ -168,8 +164,13 @@ class _Joints:
             turn = rotation_matrix(frame[3:7]) @ site.xmat.reshape(3, 3).T
             self._ports.append((frame[:3], site.xpos, turn))
         bodies = {*_bodies(structure, m), *(b for pair in _met_by(structure, m) for b in pair)}
-        every = sorted({j for body in bodies for j in _chain(m, body)})
-        self._free = [j for j in every if not _held(batch, i, j)]
+        every: set[int] = set()  # between a moving part and its side
+        for body in bodies:
+            while body and m.body(body).name.startswith(tuple(PREFIXES.values())):
+                every |= {*range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body])}
+                body = int(m.body_parentid[body])
+        moves = (j for j in sorted(every) if int(m.jnt_type[j]) in (SLIDE, HINGE))
+        self._free = [j for j in moves if not _held(batch, i, j)]
         self._dofs = m.jnt_dofadr[self._free]
         self.count = len(self._free)
         self.stiffness = np.array(m.jnt_stiffness[self._free])
@@ -184,9 +185,7 @@ class _Joints:
             self.stiffness[place], self.damping[place] = engagement.legs.law(i)
 
     def sums(self, springs: list[_Spring], place: Array) -> tuple[Array, Array]:
-        """(6 + joints, 6 + joints) stiffness and damping, of the active side's displacement at
-        ``place`` (3,) in P, and of the joints.
-        """
+        """Stiffness and damping of A's displacement at ``place`` (3,) in P and of the joints."""
         stiffness = np.diag(np.concatenate([np.zeros(6), self.stiffness]))
         damping = np.diag(np.concatenate([np.zeros(6), self.damping]))
         for spring in springs:
@@ -214,19 +213,8 @@ class _Joints:
         return spring.axes.T @ moved
 
 
-def _chain(m: mujoco.MjModel, body: int) -> list[int]:
-    """Joints between a moving part and its side."""
-    out: list[int] = []
-    while body and m.body(body).name.startswith(tuple(PREFIXES.values())):
-        out += range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body])
-        body = int(m.body_parentid[body])
-    return [j for j in out if int(m.jnt_type[j]) in (SLIDE, HINGE)]
-
-
 def _held(batch: Batch, i: int, j: int) -> bool:
-    """Whether a joint is at an end of its range. Joint friction does not count: MuJoCo's friction
-    creeps like a damper.
-    """
+    """Whether a joint is at an end of its range; MuJoCo's joint friction creeps like a damper."""
     m = batch.model
     return (
         bool(m.jnt_limited[j])

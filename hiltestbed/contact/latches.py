@@ -145,7 +145,8 @@ def hold(dt, fixed, now, bodies):
     frames, motions, carry = bodies
     site = np.empty((2, 7))
     velocity = np.empty((2, 6))
-    work, turn, f, q, r = np.empty((1, 3)), np.empty(3), np.empty(3), np.empty(4), np.empty(4)
+    work, turn, f = np.empty((1, 3)), np.empty(3), np.empty(3)
+    q, r, s = np.empty(4), np.empty(4), np.empty(4)
     for i in range(pose.shape[0]):
         for k in range(ids.shape[0]):
             for side in range(2):
@@ -178,8 +179,19 @@ def hold(dt, fixed, now, bodies):
                 f[j] = at[j] - f[j] / (STIFFER * stiffness)
             _anchor(passive, places[k, 1], f, out[second : second + 3], r)
             if turns[k]:
-                _less(at[3:7], hold[i, k, 3:7], turn, q)
-                _attitude(carrier, passive, places[k], q, r, out[6:10])
+                # the attitude turned back by 1/STIFFER of its rotation from that which is held
+                quat_mul_conj(at[3:7], hold[i, k, 3:7], q)
+                rotation_vector(q, turn)
+                for j in range(3):
+                    turn[j] /= -STIFFER
+                quat_exp(turn, r)
+                quat_mul(r, at[3:7], q)
+                # that of the active body in the passive one, if the site has the former
+                quat_mul(passive[3:7], places[k, 1, 3:7], r)
+                quat_mul(r, q, s)
+                quat_mul_conj(s, places[k, 0, 3:7], q)
+                quat_mul_conj(q, carrier[3:7], r)
+                out[6], out[7], out[8], out[9] = r[3], r[0], r[1], r[2]
 
 
 @njit(cache=True)
@@ -198,8 +210,8 @@ def site_state(frame, motion, place, pose, twist):
 
 @njit(cache=True)
 def _anchor(carry, place, at, out, scratch):
-    """``out`` (3,): a point ``at`` (3,) of a site, in a body's frame; site at ``place`` (7,) in a
-    frame at ``carry`` (7,) in the body.
+    """``out`` (3,): a point ``at`` (3,) of a site, at ``place`` in a frame at ``carry`` in its
+    body.
     """
     v = scratch[0:3]
     rotate(place[3:7], at, v)
@@ -208,28 +220,3 @@ def _anchor(carry, place, at, out, scratch):
     rotate(carry[3:7], v, out)
     for j in range(3):
         out[j] += carry[j]
-
-
-@njit(cache=True)
-def _less(now, hold, turn, out):
-    """``out`` (4,): ``now`` (4,) turned back by 1/STIFFER of its rotation from ``hold`` (4,)."""
-    q = np.empty(4)
-    quat_mul_conj(now, hold, q)
-    rotation_vector(q, turn)
-    for j in range(3):
-        turn[j] /= -STIFFER
-    quat_exp(turn, q)
-    quat_mul(q, now, out)
-
-
-@njit(cache=True)
-def _attitude(active, passive, places, hold, r, out):
-    """``out`` (4,), w first: attitude of the active body in the passive one if the active site has
-    the attitude ``hold`` (4,) in the passive site.
-    """
-    q = np.empty(4)
-    quat_mul(passive[3:7], places[1, 3:7], q)
-    quat_mul(q, hold, r)
-    quat_mul_conj(r, places[0, 3:7], q)
-    quat_mul_conj(q, active[3:7], r)
-    out[0], out[1], out[2], out[3] = r[3], r[0], r[1], r[2]

@@ -25,36 +25,8 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.piecewise import PACKED, along, between, steepest
-from hiltestbed.contact.parameters import (
-    ADHESION,
-    ALPHA,
-    BRANCH_STIFFNESS,
-    BRANCH_TIME,
-    CURVES,
-    DAMPING,
-    DRAG,
-    DRY,
-    EXPONENT,
-    FRAME,
-    MODE,
-    MODE_DAMPING,
-    MODE_MASS,
-    NON_LINEAR,
-    OFFSET,
-    OVER_PENETRATION,
-    OVER_RATE,
-    OVER_STRETCH,
-    PLAY,
-    POWER_STIFFNESS,
-    PRELOAD,
-    REACTION,
-    SPRING_OVER_PENETRATION,
-    SPRING_OVER_RATE,
-    STIFFNESS,
-    STOP,
-    STOP_STIFFNESS,
-    ContactParameters,
-)  # fmt: skip
+from hiltestbed.contact import parameters as cp
+from hiltestbed.contact.parameters import ContactParameters
 
 BRANCH, TOUCHING, DEFLECTION, DEFLECTION_RATE, SLIDER, LEARNED_SLIDER, STATES = 0, 1, 2, 3, 4, 5, 6
 SLIP_SPEED = 2e-4  # [m/s] sgn(v) is tanh(v/SLIP_SPEED)
@@ -65,65 +37,40 @@ MODE_STEP = 0.05  # [rad] largest phase advance of the frame's mode in one inner
 def _law(x, v, branch, p, held):
     """Force [N]; `branch` [N]: of Maxwell branch and sliders; `held`: it may pull."""
     if held:
-        half = 0.5 * p[PLAY]
+        half = 0.5 * p[cp.PLAY]
         if abs(x) <= half and half > 0.0:
             # play that moves with the slider is already in branch
-            return branch if p[DRAG] > 0.0 or p[OVER_STRETCH] > 0.0 else 0.0
+            return branch if p[cp.DRAG] > 0.0 or p[cp.OVER_STRETCH] > 0.0 else 0.0
         x = x - half if x > 0.0 else x + half
     elif x <= 0.0:
         return 0.0
     depth = abs(x)
     elastic = (
-        p[POWER_STIFFNESS] * depth ** p[EXPONENT]
-        if p[POWER_STIFFNESS] > 0.0
-        else p[STIFFNESS] * depth
+        p[cp.POWER_STIFFNESS] * depth ** p[cp.EXPONENT]
+        if p[cp.POWER_STIFFNESS] > 0.0
+        else p[cp.STIFFNESS] * depth
     )
     if x < 0.0:
         elastic = -elastic
-    if p[SPRING_OVER_PENETRATION] > 0.0 or p[SPRING_OVER_RATE] > 0.0:
-        deep = between(p[SPRING_OVER_PENETRATION : SPRING_OVER_PENETRATION + PACKED], x)
-        elastic *= 1.0 + (deep + between(p[SPRING_OVER_RATE : SPRING_OVER_RATE + PACKED], v))
-    force = elastic + abs(elastic) * p[ALPHA] * v if p[ALPHA] >= 0.0 else elastic + p[DAMPING] * v
-    if p[DRY] != 0.0 and p[DRAG] <= 0.0:
-        force += p[DRY] * math.tanh(v / SLIP_SPEED)
-    if depth > p[STOP]:
-        force += math.copysign(p[STOP_STIFFNESS] * (depth - p[STOP]), x)
-    if p[PRELOAD] != 0.0:
-        force += math.copysign(p[PRELOAD], x)
-    if p[OVER_PENETRATION] > 0.0:
-        force += along(p[OVER_PENETRATION : OVER_PENETRATION + PACKED], x)
-    if p[OVER_RATE] > 0.0:
-        force += along(p[OVER_RATE : OVER_RATE + PACKED], v)
+    if p[cp.SPRING_OVER_PENETRATION] > 0.0 or p[cp.SPRING_OVER_RATE] > 0.0:
+        deep = between(p[cp.SPRING_OVER_PENETRATION : cp.SPRING_OVER_PENETRATION + PACKED], x)
+        elastic *= 1.0 + (deep + between(p[cp.SPRING_OVER_RATE : cp.SPRING_OVER_RATE + PACKED], v))
+    slope = abs(elastic) * p[cp.ALPHA] if p[cp.ALPHA] >= 0.0 else p[cp.DAMPING]
+    force = elastic + slope * v
+    if p[cp.DRY] != 0.0 and p[cp.DRAG] <= 0.0:
+        force += p[cp.DRY] * math.tanh(v / SLIP_SPEED)
+    if depth > p[cp.STOP]:
+        force += math.copysign(p[cp.STOP_STIFFNESS] * (depth - p[cp.STOP]), x)
+    if p[cp.PRELOAD] != 0.0:
+        force += math.copysign(p[cp.PRELOAD], x)
+    if p[cp.OVER_PENETRATION] > 0.0:
+        force += along(p[cp.OVER_PENETRATION : cp.OVER_PENETRATION + PACKED], x)
+    if p[cp.OVER_RATE] > 0.0:
+        force += along(p[cp.OVER_RATE : cp.OVER_RATE + PACKED], v)
     force += branch
     if held:
         return force
-    return max(force, -p[ADHESION])
-
-
-@njit(cache=True)
-def _behind_frame(rigid, x, v, branch, p, held):
-    """With the frame's spring in series: the root of F = law(x - F/k_frame); ``rigid``: the force
-    without it.
-    """
-    low, high = min(rigid, 0.0), max(rigid, 0.0)
-    force = rigid
-    for _ in range(60):  # the law increases with x: one root between 0 and the rigid force
-        gap = _law(x - force / p[FRAME], v, branch, p, held) - force
-        if gap > 0.0:
-            low = force
-        else:
-            high = force
-        slope = (
-            _law(x - force / p[FRAME] + 1e-9, v, branch, p, held)
-            - _law(x - force / p[FRAME], v, branch, p, held)
-        ) / 1e-9
-        step = gap / (1.0 + max(slope, 0.0) / p[FRAME])
-        force += step
-        if not low <= force <= high:
-            force = 0.5 * (low + high)
-        if abs(step) < 1e-9 * (1.0 + abs(force)):
-            break
-    return force
+    return max(force, -p[cp.ADHESION])
 
 
 @njit(cache=True)
@@ -137,12 +84,33 @@ def contact_force(x, v, dt, p, state, held):
             mechanism pulls as well as pushes.
     """
     memory = (state[BRANCH], state[TOUCHING], state[SLIDER], state[LEARNED_SLIDER])
-    if p[MODE] > 0.0:
-        force, memory, state[DEFLECTION], state[DEFLECTION_RATE] = _ringing(
-            x, v, dt, p, memory, state[DEFLECTION], state[DEFLECTION_RATE], held
-        )
+    if p[cp.MODE] <= 0.0:
+        force, memory = _at_rest(x - p[cp.OFFSET], v, dt, p, memory, held)
     else:
-        force, memory = _at_rest(x - p[OFFSET], v, dt, p, memory, held)
+        # the frame's mode, in steps of at most MODE_STEP: drift-kick-drift (second order)
+        w, zeta, mass = p[cp.MODE], p[cp.MODE_DAMPING], p[cp.MODE_MASS]
+        q, rate = state[DEFLECTION], state[DEFLECTION_RATE]
+        springs = p[cp.STIFFNESS] + p[cp.STOP_STIFFNESS] + p[cp.BRANCH_STIFFNESS]
+        springs += steepest(p[cp.OVER_PENETRATION : cp.OVER_PENETRATION + PACKED]) + steepest(
+            p[cp.OVER_STRETCH : cp.OVER_STRETCH + PACKED]
+        )
+        stiffest = math.sqrt(w**2 + springs / mass)
+        steps = max(1, math.ceil(stiffest * dt / MODE_STEP))
+        inner = dt / steps
+        for s in range(steps):
+            q += 0.5 * inner * rate
+            moved = x - v * (dt - (s + 0.5) * inner)
+            force, memory = _at_rest(moved - q - p[cp.OFFSET], v - rate, inner, p, memory, held)
+            acceleration = force / mass - w**2 * q - 2.0 * zeta * w * rate
+            loss = 2.0 * zeta * w + (p[cp.DAMPING] / mass if force != 0.0 else 0.0)
+            # trapezoidal in the dampers: stable for any c/m
+            rate += acceleration * inner / (1.0 + 0.5 * inner * loss)
+            q += 0.5 * inner * rate
+        if p[cp.REACTION] > 0.0:
+            force = mass * (w**2 * q + 2.0 * zeta * w * rate)
+        else:
+            force, memory = _at_rest(x - q - p[cp.OFFSET], v - rate, 0.0, p, memory, held)
+        state[DEFLECTION], state[DEFLECTION_RATE] = q, rate
     state[BRANCH], state[TOUCHING], state[SLIDER], state[LEARNED_SLIDER] = memory
     return force
 
@@ -150,105 +118,60 @@ def contact_force(x, v, dt, p, state, held):
 @njit(cache=True)
 def _at_rest(x, v, dt, p, memory, held):
     """The force without the frame's mode, and the new memory: force of the Maxwell branch, whether
-    it touches, both sliders.
-
-    The memory is passed by value and the function is inlined: the frame's mode takes many steps an
-    instant, which then need not write to an array, and read the parameters only once.
+    it touches, both sliders; by value, since the mode takes many steps an instant.
     """
     branch, touched, slider, learned_slider = memory
     touching = x > 0.0 or held
-    if p[BRANCH_STIFFNESS] > 0.0:
+    if p[cp.BRANCH_STIFFNESS] > 0.0:
         if not touching:
             branch = 0.0
         else:
             since = dt
             if touched == 0.0 and v > 0.0 and not held:
                 since = min(dt, x / v)
-            fade = math.exp(-since / p[BRANCH_TIME])
-            branch = branch * fade + p[BRANCH_STIFFNESS] * v * p[BRANCH_TIME] * (1.0 - fade)
+            fade = math.exp(-since / p[cp.BRANCH_TIME])
+            branch = branch * fade + p[cp.BRANCH_STIFFNESS] * v * p[cp.BRANCH_TIME] * (1.0 - fade)
     carried = branch
-    if p[DRAG] > 0.0:
-        if touching:
-            drag, slider = _dragged(x, p, slider, held)
-            carried += drag
+    if p[cp.DRAG] > 0.0:
+        if touching:  # a slider behind a spring and any play: within it, sticking, or slipping
+            half = 0.5 * p[cp.PLAY] if held else 0.0
+            reach = half + p[cp.DRY] / p[cp.DRAG]
+            stretch = x - slider
+            if abs(stretch) > reach:
+                stretch = math.copysign(reach, stretch)
+                slider = x - stretch
+            carried += math.copysign(p[cp.DRAG] * max(abs(stretch) - half, 0.0), stretch)
         else:
             slider = 0.0
-    if p[OVER_STRETCH] > 0.0:
-        if touching:
-            over_stretch, learned_slider = _over_stretch(
-                x, p[OVER_STRETCH : OVER_STRETCH + PACKED], learned_slider
-            )
-            carried += over_stretch
+    if p[cp.OVER_STRETCH] > 0.0:
+        if touching:  # a slider that sticks until the stretch would leave the curve's range
+            curve = p[cp.OVER_STRETCH : cp.OVER_STRETCH + PACKED]
+            stretch = min(max(x - learned_slider, curve[1]), curve[int(curve[0])])
+            learned_slider = x - stretch
+            carried += along(curve, stretch)
         else:
             learned_slider = 0.0
     rigid = _law(x, v, carried, p, held)
-    force = (
-        rigid if p[FRAME] <= 0.0 or rigid == 0.0 else _behind_frame(rigid, x, v, carried, p, held)
-    )
+    force = rigid
+    if p[cp.FRAME] > 0.0 and rigid != 0.0:  # with its spring in series: F = law(x - F/k_frame)
+        low, high = min(rigid, 0.0), max(rigid, 0.0)
+        for _ in range(60):  # the law increases with x: one root between 0 and the rigid force
+            gap = _law(x - force / p[cp.FRAME], v, carried, p, held) - force
+            if gap > 0.0:
+                low = force
+            else:
+                high = force
+            slope = (
+                _law(x - force / p[cp.FRAME] + 1e-9, v, carried, p, held)
+                - _law(x - force / p[cp.FRAME], v, carried, p, held)
+            ) / 1e-9
+            step = gap / (1.0 + max(slope, 0.0) / p[cp.FRAME])
+            force += step
+            if not low <= force <= high:
+                force = 0.5 * (low + high)
+            if abs(step) < 1e-9 * (1.0 + abs(force)):
+                break
     return force, (branch, 1.0 if touching else 0.0, slider, learned_slider)
-
-
-@njit(cache=True)
-def _dragged(x, p, slider, held):
-    """Friction [N] of a slider behind a spring and the play of a captured mechanism: within the
-    play, sticking, or slipping; and the slider's new place [m].
-    """
-    half = 0.5 * p[PLAY] if held else 0.0
-    reach = half + p[DRY] / p[DRAG]
-    stretch = x - slider
-    if abs(stretch) > reach:
-        stretch = math.copysign(reach, stretch)
-        slider = x - stretch
-    return math.copysign(p[DRAG] * max(abs(stretch) - half, 0.0), stretch), slider
-
-
-@njit(cache=True)
-def _over_stretch(x, curve, slider):
-    """Force [N] of a curve over the stretch of a slider, which sticks until the stretch would leave
-    the curve's range; and the slider's new place [m].
-    """
-    low, high = curve[1], curve[int(curve[0])]
-    stretch = min(max(x - slider, low), high)
-    return along(curve, stretch), x - stretch
-
-
-@njit(cache=True)
-def _ringing(x, v, dt, p, memory, q, rate, held):
-    """Integrate the frame's mode in steps of at most MODE_STEP, drift-kick-drift (second order),
-    under the contact force.
-
-    q, rate: deflection of the frame [m] and its rate [m/s]. Returns the force, and the new
-        ``memory``, q and rate.
-    """
-    springs = p[STIFFNESS] + p[STOP_STIFFNESS] + p[BRANCH_STIFFNESS]
-    springs += steepest(p[OVER_PENETRATION : OVER_PENETRATION + PACKED]) + steepest(
-        p[OVER_STRETCH : OVER_STRETCH + PACKED]
-    )
-    stiffest = math.sqrt(p[MODE] ** 2 + springs / p[MODE_MASS])
-    steps = max(1, math.ceil(stiffest * dt / MODE_STEP))
-    inner = dt / steps
-    for s in range(steps):
-        q += 0.5 * inner * rate
-        moved = x - v * (dt - (s + 0.5) * inner)
-        force, memory = _at_rest(moved - q - p[OFFSET], v - rate, inner, p, memory, held)
-        acceleration = (
-            force / p[MODE_MASS] - p[MODE] ** 2 * q - 2.0 * p[MODE_DAMPING] * p[MODE] * rate
-        )
-        loss = 2.0 * p[MODE_DAMPING] * p[MODE] + (
-            p[DAMPING] / p[MODE_MASS] if force != 0.0 else 0.0
-        )
-        # trapezoidal in the dampers: stable for any c/m
-        rate += acceleration * inner / (1.0 + 0.5 * inner * loss)
-        q += 0.5 * inner * rate
-    if p[REACTION] > 0.0:
-        return (
-            p[MODE_MASS] * (p[MODE] ** 2 * q + 2.0 * p[MODE_DAMPING] * p[MODE] * rate),
-            memory,
-            q,
-            rate,
-        )
-    force, memory = _at_rest(x - q - p[OFFSET], v - rate, 0.0, p, memory, held)
-    return force, memory, q, rate
 
 
 @njit(cache=True)
@@ -256,7 +179,7 @@ def touches(depth, push, p):
     """Whether surfaces touch at a ``depth`` [m] with a force ``push`` [N]; a frame whose reaction
     is read rings on when they have parted.
     """
-    return depth > p[OFFSET] or (push != 0.0 and p[REACTION] == 0.0)
+    return depth > p[cp.OFFSET] or (push != 0.0 and p[cp.REACTION] == 0.0)
 
 
 Pair = tuple[float, float]
@@ -272,13 +195,11 @@ def in_series(first: Pair, second: Pair) -> Pair:
 
 
 def linear_law(law: ContactParameters) -> Pair | None:
-    """Stiffness [N/m] and damping [N s/m] of a linear law, wherever its touch is, with the frame's
-    compliance; None if it is not linear.
-    """
+    """Stiffness [N/m], damping [N s/m] of a linear law, frame included; None if not linear."""
     neutral = ContactParameters(1.0)
-    if any(getattr(law, name) != getattr(neutral, name) for name in NON_LINEAR):
+    if any(getattr(law, name) != getattr(neutral, name) for name in cp.NON_LINEAR):
         return None
-    if any(getattr(law, name)[0] > 0.0 for name in CURVES):
+    if any(getattr(law, name)[0] > 0.0 for name in cp.CURVES):
         return None
     own = (float(law.stiffness), float(law.damping))
     if law.frame <= 0.0:
@@ -289,25 +210,17 @@ def linear_law(law: ContactParameters) -> Pair | None:
 
 
 def acting_law(law: ContactParameters, mass: float, speed: float) -> Pair:
-    """Stiffness [N/m] and damping [N s/m] with which a law acts in a head-on bounce of ``mass``
-    [kg] at ``speed`` [m/s]; without speed those of its linear terms.
-    """
+    """Stiffness [N/m], damping [N s/m] in a head-on bounce of ``mass`` [kg] at ``speed`` [m/s]."""
     linear = linear_law(law)
+    found = linear or (float(law.stiffness), float(law.damping))
     if linear is not None or speed <= 0.0:
-        return linear or (float(law.stiffness), float(law.damping))
-    row, found = replace(law, offset=0.0).row(), (float(law.stiffness), float(law.damping))
-    phase = (np.arange(PHASES) + 0.5) * math.pi / PHASES
+        return found
+    row, phase = replace(law, offset=0.0).row(), (np.arange(PHASES) + 0.5) * math.pi / PHASES
     for _ in range(ROUNDS):
         w = math.sqrt(found[0] / mass)
-        size, state = speed / w, np.zeros(STATES)
-        force = np.array(
-            [
-                contact_force(
-                    size * math.sin(a), speed * math.cos(a), phase[0] * 2.0 / w, row, state, True
-                )
-                for a in phase
-            ]
-        )
+        size, state, dt = speed / w, np.zeros(STATES), phase[0] * 2.0 / w
+        motion = [(size * math.sin(a), speed * math.cos(a)) for a in phase]
+        force = np.array([contact_force(x, v, dt, row, state, True) for x, v in motion])
         half = 0.5 * PHASES  # the sum of sin^2, and of cos^2
         before = found
         found = (

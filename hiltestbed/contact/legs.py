@@ -43,9 +43,7 @@ ROUNDING = math.sqrt(np.finfo(float).eps)
 
 
 def stand_on_legs(side: mujoco.MjSpec, ring: ActiveRing) -> None:
-    """Replace the springs, the dampers and the actuator of the ring in an active ``side`` by the
-    legs: tendons with an actuator each, whose force follows its control.
-    """
+    """Replace springs, dampers and actuator of the ring in ``side`` by tendons with actuators."""
     body, legs, rest = side.body(RING), ring.legs, ring.legs.lengths()
     for joint in body.joints:
         joint.stiffness[:], joint.damping[:] = 0.0, 0.0
@@ -66,8 +64,8 @@ def stand_on_legs(side: mujoco.MjSpec, ring: ActiveRing) -> None:
 
 
 def divergent(ring: ActiveRing, inertia: Array, dt: float) -> Iterator[str]:
-    """Laws that steps of ``dt`` [s] do not resolve: of the ring alone, with ``inertia`` (6,) [kg,
-    kg m^2] in its joints, an eigenvalue of its motion from step to step is beyond 1.
+    """Laws whose eigenvalue in steps of ``dt`` [s], with ``inertia`` (6,) of the joints, is beyond
+    1.
     """
     follows = _follows(ring, dt)
     for name, law in zip(LAWS, ring.laws, strict=True):
@@ -134,9 +132,15 @@ class RingLegs:
             [next(e for e in rows[t] if m.ten_J_colind[e] == d) for d in dofs] for t in tendons
         ]
         at = np.array([m.jnt_qposadr[self.joints], dofs, legs, m.actuator_actadr[legs], tendons])
+        guides = np.zeros((len(LAWS), 2, 6))
+        for guide, law in zip(guides, ring.laws, strict=True):
+            if isinstance(law, AlignmentLaw):
+                guide[1, :3], guide[1, 3:] = law.speed, math.radians(law.turn_rate_deg)
+            if isinstance(law, RetractionLaw):
+                guide[0, AXIAL] = -law.depth
         self._numbers = _LegNumbers(
             np.array([[law.stiffness, law.damping, law.mass] for law in ring.laws]),
-            np.array([_guide(law) for law in ring.laws]),
+            guides,
             np.array([getattr(law, "timeout", math.inf) for law in ring.laws]),
             ring.legs.lengths(),
             np.array([ring.legs.force, ring.legs.stroke]),
@@ -168,8 +172,8 @@ class RingLegs:
         self.state.faults[:] = -1.0
 
     def begin(self, phase: str, which: NDArray[np.bool_]) -> None:
-        """Take the law of a ``phase`` in the runs ``which`` (n,); hard capture stops the reference,
-        and a phase without a law changes nothing.
+        """Take the law of a ``phase`` in the runs ``which`` (n,); one without a law changes
+        nothing.
         """
         if phase in STAGES:
             self.state.stage[which], self.state.fresh[which] = STAGES.index(phase), True
@@ -180,8 +184,8 @@ class RingLegs:
         return stiffness, damping
 
     def summary(self, i: int) -> dict[str, Any]:
-        """What the legs of run ``i`` did: largest force [N], shortest and longest against rest [m],
-        energy absorbed [J]; and what went wrong, each with the phase and the time [s].
+        """What the legs of run ``i`` did: force [N], travel [m], energy [J], faults with phase,
+        time.
         """
         peak, shortest, longest, absorbed = map(float, self.state.used[i])
         found = zip(FAULTS, self.state.faults[i], strict=True)
@@ -195,16 +199,6 @@ class RingLegs:
                 if time >= 0.0
             ],
         }
-
-
-def _guide(law: object) -> list[list[float]]:
-    """Goal of the reference in a law, and the highest rate at which it goes there, (2, 6)."""
-    goal, rates = [0.0] * 6, [0.0] * 6
-    if isinstance(law, AlignmentLaw):
-        rates = [law.speed] * 3 + [math.radians(law.turn_rate_deg)] * 3
-    if isinstance(law, RetractionLaw):
-        goal[AXIAL] = -law.depth
-    return [goal, rates]
 
 
 @njit(cache=True)

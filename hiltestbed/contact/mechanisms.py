@@ -5,7 +5,6 @@ classes of geom pairs that may touch, and phases of capture.
 from __future__ import annotations
 
 from collections.abc import Hashable
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -60,7 +59,7 @@ class Described(_Shipped):
     def described(cls) -> description.MechanismFile:
         """The content of mechanism.yaml. Raises InputError."""
         file = models_folder() / cls.folder / "mechanism.yaml"
-        return _read(file, file.stat().st_mtime_ns if file.is_file() else 0)
+        return description.read(file, file.stat().st_mtime_ns if file.is_file() else 0)
 
     def touching(self) -> tuple[Touching, ...]:
         """Classes of geom pairs that may touch."""
@@ -80,11 +79,6 @@ def _numbers(touching: Touching) -> Contact:
     return Contact(
         stiffness=touching.stiffness, damping=touching.damping, friction=touching.friction
     )
-
-
-@lru_cache(maxsize=32)
-def _read(file: Path, stamp: int) -> description.MechanismFile:
-    return description.read(file)
 
 
 @register

@@ -16,8 +16,8 @@ from mujoco.batch import Batch
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.frames import Array, quat_mul, rotate, sin_cos
+from hiltestbed.signals import AXES
 
-AXES = ("x", "y", "z", "rx", "ry", "rz")
 # bodies: the carrier of the force sensor, and the passive side on its mount
 CARRIER, MOUNTED = "passive_carrier", "passive_mount"
 
@@ -44,8 +44,8 @@ class Mounts:
     """
 
     def __init__(self, batch: Batch, springs: tuple[Array, Array] | None, tilt: Array) -> None:
-        """``springs``: see :func:`hiltestbed.contact.parameters.mounts_of`. ``tilt``: (n, 7) pose
-        of S in its nominal frame, of a misaligned port.
+        """``springs``: see ``parameters.mounts_of``. ``tilt``: (n, 7) pose of S in its nominal
+        frame.
         """
         n, model = len(tilt), batch.model
         self.tilt = tilt
@@ -59,7 +59,11 @@ class Mounts:
         )
         if springs is None:
             return
-        middle, mass = centre_of(model, self.body)
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        away = data.subtree_com[self.body] - data.xpos[self.body]
+        middle = data.xmat[self.body].reshape(3, 3).T @ away
+        mass = float(model.body_subtreemass[self.body])
         self.balance[:, :3] = -np.array(model.opt.gravity) * mass
         joints = [model.joint(f"mount_{axis}") for axis in AXES]
         adr = np.array([joints[0].qposadr[0], joints[0].dofadr[0]])
@@ -112,8 +116,8 @@ def _turned(q):
 
 @njit(cache=True)
 def mount_place(q, qd, tilt, place, motion):
-    """One mount: ``place`` (7,) and ``motion`` (6,) of S in W from the joints ``q`` (6,) and their
-    rates ``qd`` (6,); ``tilt`` (7,).
+    """``place`` (7,), ``motion`` (6,) of S in W from joints ``q`` (6,), rates ``qd``; ``tilt``
+    (7,).
     """
     for j in range(3):
         place[j], motion[j] = q[j], qd[j]
@@ -136,12 +140,3 @@ def _centre(q, offset, centre):
     rotate(_turned(q)[1], offset, centre)
     for j in range(3):
         centre[j] += q[j]
-
-
-def centre_of(model: mujoco.MjModel, body: int) -> tuple[Array, float]:
-    """Centre of mass (3,) [m] of a body with all that it carries, in its frame; its mass [kg]."""
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    return data.xmat[body].reshape(3, 3).T @ (data.subtree_com[body] - data.xpos[body]), float(
-        model.body_subtreemass[body]
-    )

@@ -18,7 +18,7 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import PASSIVE, add_side
 from hiltestbed.contact.mount import MOUNTED
 from hiltestbed.contact.parameters import mounts_of
-from hiltestbed.frames import Array, sin_cos
+from hiltestbed.frames import Array, add_moment, sin_cos
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
@@ -201,7 +201,15 @@ def mount_step(stiffness, damping, body, kick, drift, leapfrog, wrench, q, qd):
     d12 = c0 * ky + s0 * kz - (p10 * ix * p20 + p11 * iy * p21 + p12 * iz * p22)
     d22 = zx * kx + zy * ky + zz * kz - (p20 * ix * p20 + p21 * iy * p21 + p22 * iz * p22)
     d11, d22 = d11 + ahead * damping[4], d22 + ahead * damping[5]
-    a0, a1, a2 = _solved(d00, d01, d02, d11, d12, d22, a0, a1, a2)
+    # the positive definite (d00 d01 d02; d01 d11 d12; d02 d12 d22) is inverted by its cofactors
+    b00, b01, b02 = d11 * d22 - d12 * d12, d02 * d12 - d01 * d22, d01 * d12 - d02 * d11
+    b11, b12, b22 = d00 * d22 - d02 * d02, d02 * d01 - d00 * d12, d00 * d11 - d01 * d01
+    scale = 1.0 / (d00 * b00 + d01 * b01 + d02 * b02)
+    a0, a1, a2 = (
+        scale * (b00 * a0 + b01 * a1 + b02 * a2),
+        scale * (b01 * a0 + b11 * a1 + b12 * a2),
+        scale * (b02 * a0 + b12 * a1 + b22 * a2),
+    )
     qd[0] = v0 + kick * ix * (fx - (a1 * p10 + a2 * p20))
     qd[1] = v1 + kick * iy * (fy - (a0 * p01 + a1 * p11 + a2 * p21))
     qd[2] = v2 + kick * iz * (fz - (a0 * p02 + a1 * p12 + a2 * p22))
@@ -210,19 +218,6 @@ def mount_step(stiffness, damping, body, kick, drift, leapfrog, wrench, q, qd):
     qd[5] = r2 + kick * a2
     for j in range(6):
         q[j] += drift * qd[j]
-
-
-@njit(cache=True)
-def _solved(a, b, c, d, e, f, u, v, w):
-    """Solves the positive definite (a b c; b d e; c e f) for the right-hand side (u, v, w)."""
-    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
-    dd, de, ff = a * f - c * c, b * c - a * e, a * d - b * b
-    scale = 1.0 / (a * aa + b * ab + c * ac)
-    return (
-        scale * (aa * u + ab * v + ac * w),
-        scale * (ab * u + dd * v + de * w),
-        scale * (ac * u + de * v + ff * w),
-    )
 
 
 @njit(cache=True)
@@ -237,6 +232,4 @@ def mount_reading(stiffness, damping, q, qd, out):
     (sx, cx), (sy, cy) = sin_cos(q[3]), sin_cos(q[4])
     across = (out[5] - sy * out[3]) / cy
     out[4], out[5] = cx * out[4] - sx * across, sx * out[4] + cx * across
-    out[3] += q[1] * out[2] - q[2] * out[1]
-    out[4] += q[2] * out[0] - q[0] * out[2]
-    out[5] += q[0] * out[1] - q[1] * out[0]
+    add_moment(1.0, q, out)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiltestbed.config.piecewise import PACKED, packed
-from hiltestbed.effects.base import Effect
+from hiltestbed.effects.base import Effect, LinkParameters
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class ContactParameters:
+class ContactParameters(LinkParameters):
     """One contact; an inactive term of the law has a neutral value.
 
     Attributes:
@@ -48,6 +48,7 @@ class ContactParameters:
         force that is added.
     """
 
+    link = "contact"
     stiffness: float
     damping: float = 0.0
     power_stiffness: float = 0.0
@@ -87,13 +88,6 @@ class ContactParameters:
         """The nominal contact: the settings of a scenario, without effects."""
         return cls(contact.stiffness, contact.damping, friction=contact.friction)
 
-    def with_effects(self, effects: Iterable[Effect]) -> ContactParameters:
-        """Apply those of ``effects`` that act on the contact, in place; returns itself."""
-        for effect in effects:
-            if effect.link == "contact":
-                effect.apply(self)
-        return self
-
     def after_capture(self) -> ContactParameters:
         """Without what belongs to a touch, in place, for a latch that closed during a run."""
         self.offset = self.preload = self.stop_stiffness = 0.0
@@ -110,7 +104,7 @@ class ContactParameters:
 
 def believed_contacts(mechanism: Mechanism) -> list[ContactParameters]:
     """The nominal contact of each rule of a mechanism, and last of its latch, without effects."""
-    contacts = (*mechanism.contacts(), mechanism.latch_contact())
+    contacts = (*mechanism.contacts(), mechanism.contact)
     return [ContactParameters.believed(c) for c in contacts]
 
 
@@ -135,9 +129,7 @@ def contact_rows(
 
 
 def mounts_of(mechanisms: Sequence[Mechanism]) -> tuple[Array, Array] | None:
-    """``(n, 6)`` stiffness [N/m, N m/rad] and damping [N s/m, N m s/rad] of compliant mounts; None
-    if they are rigid.
-    """
+    """``(n, 6)`` stiffness and damping [N/m, N m/rad, ...] of mounts; None if they are rigid."""
     if mechanisms[0].mount is None:
         return None
     mounts = [m.mount for m in mechanisms if m.mount is not None]
@@ -145,9 +137,7 @@ def mounts_of(mechanisms: Sequence[Mechanism]) -> tuple[Array, Array] | None:
 
 
 def latch_limits(latches: Iterable[Latch | None]) -> Array:
-    """``(n, 3)`` limits at which latches close: depth [m] (pz >= -depth), least cosine between the
-    axes, highest speed [m/s]; without a latch they are never met.
-    """
+    """``(n, 3)`` limits of latches: depth [m], least cosine of the axes, speed [m/s]; or never."""
     never = (-np.inf, 2.0, 0.0)
     return np.array(
         [(la.depth, np.cos(np.radians(la.angle_deg)), la.speed) if la else never for la in latches]
@@ -170,9 +160,7 @@ class MechanismParameters(NamedTuple):
 def mechanism_parameters(
     mechanisms: Sequence[Mechanism], effects: Iterable[Iterable[Effect]], rules: Sequence[int]
 ) -> MechanismParameters:
-    """The parameters of ``mechanisms`` under the ``effects`` of each; ``rules``: (T,) as for
-    :func:`contact_rows`.
-    """
+    """Those of ``mechanisms`` under ``effects``; ``rules`` (T,) as for :func:`contact_rows`."""
     laws = [
         contact_rows(acting_contacts(m, acting), rules, m.captured)
         for m, acting in zip(mechanisms, effects, strict=True)

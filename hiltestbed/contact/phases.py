@@ -199,9 +199,7 @@ class LatchCondition:
 
 @njit(cache=True)
 def closes(pose, twist, limits):
-    """Whether a latch closes; ``limits`` (3,) as in
-    :func:`hiltestbed.contact.parameters.latch_limits`.
-    """
+    """Whether a latch closes; for ``limits`` (3,) see ``parameters.latch_limits``."""
     aligned = 1.0 - 2.0 * (pose[3] ** 2 + pose[4] ** 2)  # cosine between the axes
     speed2 = twist[0] ** 2 + twist[1] ** 2 + twist[2] ** 2
     return pose[2] >= -limits[0] and aligned >= limits[1] and speed2 <= limits[2] ** 2

@@ -24,24 +24,18 @@ LEAST = 2
 
 
 def error_bound(impact: Impact, physics_rate: float) -> float:
-    """Relative error of the rebound that steps at ``physics_rate`` [Hz] may cause in the first
-    contact: 1/(4 n) for n steps in half a period of the fastest motion.
-    """
+    """Relative error of the first rebound with steps at ``physics_rate`` [Hz]: 1/(4 n)."""
     return _fastest(impact) / (4.0 * math.pi * physics_rate)
 
 
 def rate_for_comparison(impact: Impact, physics_rate: float) -> float | None:
-    """Twice the ``physics_rate`` [Hz]; None if that is enough by :func:`error_bound`, or cannot be
-    doubled.
-    """
+    """Twice the ``physics_rate`` [Hz]; None if that is enough, or cannot be doubled."""
     rate = 2.0 * physics_rate
     return rate if error_bound(impact, physics_rate) > TOLERANCE and rate <= HIGHEST else None
 
 
 def converged(cor: float | None, halved: float | None) -> bool:
-    """Whether a reference's rebound ``cor`` is that of a shorter physics step: ``halved`` is with
-    half of it, and Euler's error is twice their difference.
-    """
+    """Whether rebounds with a step and with half of it agree: the error is twice the difference."""
     if cor is None or halved is None:
         return cor is halved
     return cor == halved or (
@@ -50,9 +44,7 @@ def converged(cor: float | None, halved: float | None) -> bool:
 
 
 def sufficient_rate(impact: Impact, rate: float) -> float:
-    """Lowest physics rate [Hz] that has :data:`STEPS`, as a power of two times the loop's ``rate``
-    [Hz], so that few rates occur in a campaign.
-    """
+    """Lowest physics rate [Hz] with :data:`STEPS`, a power of two times the loop's ``rate``."""
     least = rate * LEAST
     most = max(0, math.floor(math.log2(HIGHEST / least)))
     needed = STEPS * _fastest(impact) / math.pi

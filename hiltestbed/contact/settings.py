@@ -124,10 +124,6 @@ class Mechanism(Strictly):
         """Whether its sides are held to each other at some time."""
         return self.captured or self.latch is not None or bool(self.phases())
 
-    def latch_contact(self) -> Contact:
-        """Stiffness and damping of the latch."""
-        return self.contact
-
     def phases(self) -> tuple[Phase, ...]:
         """The phases of capture, in order."""
         return ()

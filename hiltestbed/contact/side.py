@@ -10,16 +10,9 @@ from numpy.typing import NDArray
 
 from hiltestbed.config.part import compiled
 from hiltestbed.contact.geometry import ACTIVE, FRAMES, PASSIVE
+from hiltestbed.contact.surfaces import surface as surf
 from hiltestbed.contact.surfaces.soundness import MeshFault
-from hiltestbed.contact.surfaces.surface import (
-    CAPSULE,
-    KINDS,
-    MESH,
-    Surface,
-    hollow,
-    of_geom,
-    of_mesh,
-)
+from hiltestbed.contact.surfaces.surface import Surface, hollow, of_geom, of_mesh
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_from_mujoco
 
@@ -56,10 +49,6 @@ class Side:
         self.findings: dict[str, list[MeshFault]] = {}
         self._surfaces: dict[int, Surface] = {}
 
-    def pose(self) -> Array:
-        """``(7,)`` of the port in the file's frame."""
-        return np.concatenate([self.origin, quaternion(self.axes)])
-
     def releases(self) -> bool:
         """Whether it has actuators, sprung tendons, or joints whose springs start loaded."""
         m = self.model
@@ -72,9 +61,6 @@ class Side:
 
     def name(self, geom: int) -> str:
         return self.model.geom(geom).name
-
-    def names(self) -> list[str]:
-        return [self.name(g) for g in range(self.model.ngeom)]
 
     def type(self, geom: int) -> int:
         return int(self.model.geom_type[geom])
@@ -126,7 +112,7 @@ class Side:
     def surface(self, geom: int) -> Surface:
         """The surface of a facet. Raises InputError for a mesh that cannot be used."""
         m = self.model
-        if m.geom_type[geom] != MESH:
+        if m.geom_type[geom] != surf.MESH:
             return of_geom(int(m.geom_type[geom]), m.geom_size[geom])
         mesh = int(m.geom_dataid[geom])
         if mesh in self._surfaces:
@@ -143,9 +129,9 @@ class Side:
     def not_convex(self, geom: int) -> str | None:
         """Why MuJoCo's own collision does not see the true surface of a geom; None: it does."""
         m, kind = self.model, self.type(geom)
-        if kind in KINDS:
+        if kind in surf.KINDS:
             return None
-        if kind != MESH:
+        if kind != surf.MESH:
             name = mujoco.mjtGeom(kind).name.removeprefix("mjGEOM_").lower()
             return (
                 f"{self.name(geom)} is of type {name}, whose contact points share no stiffness; "
@@ -161,9 +147,7 @@ class Side:
         )
 
     def apart(self) -> list[tuple[str, str]]:
-        """Pairs of geoms of this side that MuJoCo would let collide as they move, but which are in
-        no pair of the file: they do not touch.
-        """
+        """Pairs of geoms of this side that MuJoCo would let collide, but in no pair of the file."""
         m = self.model
         pairs = {tuple(sorted(p)) for p in zip(m.pair_geom1, m.pair_geom2, strict=True)}
         excluded = set(m.exclude_signature.tolist())
@@ -197,7 +181,7 @@ class Side:
 
     def ends(self, geom: int) -> Array:
         """``(k, 2)`` lateral positions [m], in the port's axes, on a rod, or of a centre."""
-        half = self.model.geom_size[geom, 1] if self.type(geom) == CAPSULE else 0.0
+        half = self.model.geom_size[geom, 1] if self.type(geom) == surf.CAPSULE else 0.0
         along = self.data.geom_xmat[geom].reshape(3, 3)[:, 2] * half
         points = self.data.geom_xpos[geom] + np.linspace(-1.0, 1.0, 9)[:, None] * along
         return ((points - self.origin) @ self.axes)[:, :2]

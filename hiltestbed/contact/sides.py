@@ -16,7 +16,6 @@ Geoms of one side touch each other only in a ``pair`` of its file, with MuJoCo's
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -24,30 +23,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiltestbed.config.models import stamp
+from hiltestbed.contact import geometry as geo
 from hiltestbed.contact.description import Rule, matching
-from hiltestbed.contact.geometry import (
-    RADIUS,
-    ROUND_FRAME,
-    ROW,
-    SURFACE_FRAME,
-    VALUES,
-    Geometry,
-    Placed,
-    Round,
-    packed,
-)
+from hiltestbed.contact.geometry import Geometry, Placed, Round, packed
 from hiltestbed.contact.side import Frames, Side, quaternion
+from hiltestbed.contact.surfaces import surface as surf
 from hiltestbed.contact.surfaces.soundness import MeshFault
-from hiltestbed.contact.surfaces.surface import (
-    BOX,
-    CAPSULE,
-    CYLINDER,
-    ELLIPSOID,
-    KINDS,
-    MESH,
-    PLANE,
-    SPHERE,
-)  # fmt: skip
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 
@@ -55,9 +36,9 @@ if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
 
 # on a plane or a box a rod touches at both ends, which MuJoCo handles
-ROD_FACETS = (CYLINDER, ELLIPSOID, MESH)
+ROD_FACETS = (surf.CYLINDER, surf.ELLIPSOID, surf.MESH)
 # closed form against a ball
-EXACT = {PLANE, SPHERE, CAPSULE, BOX}
+EXACT = {surf.PLANE, surf.SPHERE, surf.CAPSULE, surf.BOX}
 MOST_PAIRS = 4000
 
 
@@ -114,8 +95,9 @@ class Sides:
 
     def candidate(self, k: int) -> tuple[int, int, float]:
         """Of facet ``k``: frames of the round and of the surface, radius of the round [m]."""
-        row, radius = self.geometry.index[k * ROW :], self.geometry.values[k * VALUES + RADIUS]
-        return int(row[ROUND_FRAME]), int(row[SURFACE_FRAME]), float(radius)
+        row = self.geometry.index[k * geo.ROW :]
+        radius = self.geometry.values[k * geo.VALUES + geo.RADIUS]
+        return int(row[geo.ROUND_FRAME]), int(row[geo.SURFACE_FRAME]), float(radius)
 
     @property
     def rigid(self) -> bool:
@@ -144,7 +126,14 @@ def _sides(
         else [(a, p, k) for k, rule in enumerate(rules) for a, p in _meeting(active, passive, rule)]
     )
     if not pairs and not captured:
-        raise InputError(_nothing_touches(active, passive, rules))
+        reason = (
+            "no pair of geoms is within the reach of its class; give a longer reach"
+            if any(rule.active for rule in rules)
+            else "no geom of one can touch one of the other; a geom may touch if contype and "
+            'conaffinity are not 0: give at least one geom of each side contype="1" '
+            'conaffinity="1"'
+        )
+        raise InputError(f"{active.file}, {passive.file}: {reason}")
     if len(pairs) > MOST_PAIRS:
         raise InputError(
             f"{active.file}, {passive.file}: {len(pairs)} pairs of geoms may touch (at most "
@@ -173,7 +162,7 @@ def _sides(
         for port, name in sites
     }
     exact = not native and all(
-        SPHERE in types and EXACT.issuperset(types)
+        surf.SPHERE in types and EXACT.issuperset(types)
         for types in ((active.type(a), passive.type(p)) for a, p, _ in pairs)
     )
     moving = bool(active.model.njnt or passive.model.njnt)
@@ -185,7 +174,7 @@ def _sides(
         tuple(frames),
         placed,
         exact and not moving,
-        np.array([active.pose(), passive.pose()]),
+        np.array([[*s.origin, *quaternion(s.axes)] for s in (active, passive)]),
         moving,
         active.releases() or passive.releases(),
         tuple((name, f) for name, found in findings for f in found),
@@ -194,8 +183,8 @@ def _sides(
 
 
 def _facets(round_: int, surface: int) -> bool:
-    return (round_ == SPHERE and (surface in KINDS or surface == MESH)) or (
-        round_ == CAPSULE and surface in ROD_FACETS
+    return (round_ == surf.SPHERE and (surface in surf.KINDS or surface == surf.MESH)) or (
+        round_ == surf.CAPSULE and surface in ROD_FACETS
     )
 
 
@@ -203,7 +192,7 @@ def _candidate(
     one: Side, round_: int, other: Side, surface: int, frames: Frames
 ) -> tuple[Round, Placed]:
     frame_a, ends = one.in_frame(round_, frames)
-    half = one.model.geom_size[round_, 1] if one.type(round_) == CAPSULE else 0.0
+    half = one.model.geom_size[round_, 1] if one.type(round_) == surf.CAPSULE else 0.0
     along = ends[1][:, 2] * half
     places = np.array([ends[0] + along, ends[0] - along])
     frame_p, (position, turn) = other.in_frame(surface, frames)
@@ -220,7 +209,7 @@ def _meeting(active: Side, passive: Side, rule: Rule) -> list[tuple[int, int]]:
         if pattern is None:
             chosen.append(side.touching())
         else:
-            names = side.names()
+            names = [side.name(g) for g in range(side.model.ngeom)]
             if not matching(pattern, names):
                 raise InputError(
                     f"{side.file}: no geom is called {pattern!r}; its geoms are "
@@ -230,21 +219,6 @@ def _meeting(active: Side, passive: Side, rule: Rule) -> list[tuple[int, int]]:
     pairs = [(a, p) for a in chosen[0] for p in chosen[1]]
     if rule.reach is None:
         return pairs
-    return [(a, p) for a, p in pairs if _apart(active.ends(a), passive.ends(p)) < rule.reach]
-
-
-def _apart(a: Array, p: Array) -> float:
-    return float(np.linalg.norm(a[:, None] - p[None], axis=2).min())
-
-
-def _nothing_touches(active: Side, passive: Side, rules: Sequence[Rule]) -> str:
-    if any(rule.active for rule in rules):
-        return (
-            f"{active.file}, {passive.file}: no pair of geoms is within the reach of its "
-            f"class; give a longer reach"
-        )
-    return (
-        f"{active.file}, {passive.file}: no geom of one can touch one of the other; a geom may "
-        f"touch if contype and conaffinity are not 0: "
-        'give at least one geom of each side contype="1" conaffinity="1"'
-    )
+    apart = [active.ends(a)[:, None] - passive.ends(p)[None] for a, p in pairs]
+    lateral = [np.linalg.norm(way, axis=2).min() for way in apart]
+    return [pair for pair, away in zip(pairs, lateral, strict=True) if away < rule.reach]

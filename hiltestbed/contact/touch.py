@@ -17,24 +17,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiltestbed.compiled.jit import interpreted
+from hiltestbed.contact import parameters as cp
 from hiltestbed.contact.geometry import FRAMES, unmet
 from hiltestbed.contact.law import Pair, acting_law, in_series, linear_law
-from hiltestbed.contact.parameters import (
-    LEVER,
-    OFFSET,
-    PARAMETERS,
-    ContactParameters,
-    acting_contacts,
-    mechanism_parameters,
-)
+from hiltestbed.contact.parameters import ContactParameters, acting_contacts, mechanism_parameters
 from hiltestbed.contact.sides import Sides, sides_of
 from hiltestbed.contact.wrench import LATCH_RADIUS, meet_all
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state, effective_mass, mobility
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from hiltestbed.contact.settings import Mechanism
     from hiltestbed.effects.base import Effect
     from hiltestbed.scenario.spacecraft import Approach, Spacecraft
@@ -133,12 +125,11 @@ def first_touch(impact: Impact) -> Touch | None:
     if impact.mechanism.captured or _bare(impact.sides):
         return None
     meeting, pose = _meeting(impact), impact.start[:7]
-    deepest = _deepest(meeting, pose)
-    reach = _reached(impact.approach, deepest)
-    if reach is None:
+    if not _reached(impact.approach, meeting, pose):
         return None
-    deepest(reach + TOGETHER)
-    pair = _of_facets(impact, meeting) if isinstance(meeting, Meeting) else meeting.pair(pose[:3])
+    pose[2] += TOGETHER
+    meeting.deepest(pose)
+    pair = meeting.pair(impact, pose[:3])
     if pair is None or not pair[0][2, 2] > 0.0:
         return None
     stiffness, damping = pair
@@ -149,7 +140,7 @@ def first_touch(impact: Impact) -> Touch | None:
         float(stiffness[2, 2]) / share,
         float(damping[2, 2]) / share,
         int(np.count_nonzero(meeting.depth > 0.0)),
-        0.0 if isinstance(meeting, Meeting) else meeting.fastest(),
+        meeting.fastest(),
     )
 
 
@@ -157,7 +148,7 @@ def nothing_met(impact: Impact) -> bool:
     """Whether nothing touches on the way of :func:`first_touch`."""
     if impact.mechanism.captured or _bare(impact.sides):
         return False
-    return _reached(impact.approach, _deepest(_meeting(impact), impact.start[:7])) is None
+    return not _reached(impact.approach, _meeting(impact), impact.start[:7])
 
 
 def _bare(sides: Sides) -> bool:
@@ -170,42 +161,23 @@ def _meeting(impact: Impact) -> Meeting | _Parts:
     return Meeting(sides) if sides.rigid else _Parts(impact.mechanism, impact.effects)
 
 
-def _deepest(meeting: Meeting | _Parts, pose: Array) -> Callable[[float], float]:
-    """The largest penetration [m] with A at z [m] of ``pose`` (7,), in which z is written."""
+def _reached(approach: Approach, meeting: Meeting | _Parts, pose: Array) -> bool:
+    """Whether there is a first touch along the insertion; ``pose`` (7,) is then at it."""
 
-    def deepest(z: float) -> float:
+    def touches(z: float) -> bool:
         pose[2] = z
-        return meeting.deepest(pose)
+        return meeting.deepest(pose) > 0.0
 
-    return deepest
-
-
-def _reached(approach: Approach, deepest: Callable[[float], float]) -> float | None:
-    """The z [m] of the first touch on the way along the insertion."""
-    start, end = -abs(approach.gap), abs(approach.gap) + BEYOND
-    stops = np.linspace(start, end, STOPS)
-    met = next((k for k, z in enumerate(stops) if deepest(float(z)) > 0.0), 0)
+    stops = np.linspace(-abs(approach.gap), abs(approach.gap) + BEYOND, STOPS)
+    met = next((k for k, z in enumerate(stops) if touches(float(z))), 0)
     if met == 0:
-        return None
+        return False
     low, high = float(stops[met - 1]), float(stops[met])
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if deepest(middle) > 0.0 else (middle, high)
-    return high
-
-
-def _of_facets(impact: Impact, meeting: Meeting) -> tuple[Array, Array]:
-    """(6, 6) stiffness and damping of the facets that touch."""
-    stiffness, damping, inverse = np.zeros((6, 6)), np.zeros((6, 6)), impact.mobility
-    rules, laws = impact.sides.rules, impact.laws
-    for c in np.flatnonzero(meeting.depth > 0.0):
-        push, arm = meeting.normal[c], meeting.point[c] - meeting.frames[0, :3]
-        row = np.concatenate([push, np.cross(arm, push)])
-        speed = abs(float(push @ np.asarray(impact.approach.velocity)))
-        k, d = acting_law(laws[rules[c]], 1.0 / float(row @ inverse @ row), speed)
-        stiffness += k * np.outer(row, row)
-        damping += d * np.outer(row, row)
-    return stiffness, damping
+        low, high = (low, middle) if touches(middle) else (middle, high)
+    pose[2] = high
+    return True
 
 
 class Meeting:
@@ -217,8 +189,8 @@ class Meeting:
 
     def __init__(self, sides: Sides) -> None:
         count, frames = sides.geometry.count, FRAMES + len(sides.frames)
-        p = np.ones((count, PARAMETERS))
-        p[:, LEVER], p[:, OFFSET] = 0.5, 0.0
+        p = np.ones((count, cp.PARAMETERS))
+        p[:, cp.LEVER], p[:, cp.OFFSET] = 0.5, 0.0
         self.frames = np.zeros((frames, 7))
         self.frames[1, 6] = 1.0
         met = unmet.py_func(count)
@@ -228,12 +200,27 @@ class Meeting:
         self._met = sides.geometry, p, self.frames, np.zeros((frames, 6)), np.empty((9, 7)), met
 
     def deepest(self, pose: Array) -> float:
-        """Largest penetration [m] with A at ``pose`` (7,), negative while apart; that of each pair,
-        with its point and normal in W, is in ``depth``, ``point`` and ``normal``.
-        """
+        """Largest penetration [m] with A at ``pose`` (7,), negative while apart."""
         self.frames[0] = pose
         self._meet(*self._met)
         return float(self.depth.max())
+
+    def pair(self, impact: Impact, place: Array) -> tuple[Array, Array] | None:
+        """(6, 6) stiffness and damping about A's origin ``place`` (3,) in the present state."""
+        stiffness, damping, inverse = np.zeros((6, 6)), np.zeros((6, 6)), impact.mobility
+        rules, laws = impact.sides.rules, impact.laws
+        for c in np.flatnonzero(self.depth > 0.0):
+            push, arm = self.normal[c], self.point[c] - place
+            row = np.concatenate([push, np.cross(arm, push)])
+            speed = abs(float(push @ np.asarray(impact.approach.velocity)))
+            k, d = acting_law(laws[rules[c]], 1.0 / float(row @ inverse @ row), speed)
+            stiffness += k * np.outer(row, row)
+            damping += d * np.outer(row, row)
+        return stiffness, damping
+
+    def fastest(self) -> float:
+        """[rad/s] of the moving parts in the present state: there are none."""
+        return 0.0
 
 
 class _Parts:
@@ -273,14 +260,14 @@ class _Parts:
         self._engagement.update(self._pose, self._still, self._port, self._still)
         return float(self.depth.max())
 
-    def pair(self, place: Array) -> tuple[Array, Array] | None:
-        """(6, 6) stiffness and damping about A's origin ``place`` (3,) in the present state."""
+    def pair(self, impact: Impact, place: Array) -> tuple[Array, Array] | None:
+        """As for :class:`Meeting`."""
         from hiltestbed.contact.jacobian import pair_at
 
         return pair_at(self._engagement, self._batch, self._made_of, 0, place)
 
     def fastest(self) -> float:
-        """[rad/s] of the moving parts in the present state."""
+        """As for :class:`Meeting`."""
         from hiltestbed.contact.jacobian import fastest
 
         return fastest(self._engagement, self._batch, self._made_of, 0)
@@ -291,8 +278,8 @@ def axis_truth(impact: Impact, captured: bool = False) -> list[Pair | None]:
     without a linear law.
 
     A bumper has one along z; latches act on all six; a mount is in series with them. If a mechanism
-    is captured in phases, springs
-    of its own parts are in series as well: see :mod:`hiltestbed.contact.jacobian`.
+    is captured in phases, springs of its own parts are in series as well: see
+    :mod:`hiltestbed.contact.jacobian`.
 
     Args:
         captured: whether latches have closed during the run.

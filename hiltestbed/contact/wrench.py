@@ -15,22 +15,18 @@ import math
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
+from hiltestbed.contact import parameters as cp
 from hiltestbed.contact.geometry import ACTIVE, PASSIVE, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, meet
 from hiltestbed.contact.law import contact_force, touches
-from hiltestbed.contact.parameters import (
-    BLUNT,
-    DAMPING,
-    FRICTION,
-    LEVER,
-    OFFSET,
-    RING,
-    SIDE_DAMPING,
-    SIDE_STIFFNESS,
-    STIFFNESS,
-    TILT_X,
-    TILT_Y,
+from hiltestbed.frames import (
+    Array,
+    pose_between,
+    quat_mul,
+    rotate,
+    rotate_back,
+    rotation_vector,
+    wrench_moved,
 )
-from hiltestbed.frames import Array, pose_between, quat_mul, rotate, rotate_back, rotation_vector
 
 CREEP = 1e-4  # [m/s] speed below which friction is viscous
 LATCH_RADIUS = 0.15  # [m] of the ring of latches: the rotational stiffness is k LATCH_RADIUS^2
@@ -38,7 +34,7 @@ LATCH_RADIUS = 0.15  # [m] of the ring of latches: the rotational stiffness is k
 
 def tilts(parameters: Array) -> Array:
     """``(n, 7)`` pose of the tilted passive port in its nominal frame, R_y R_x."""
-    x, y = 0.5 * parameters[:, TILT_X], 0.5 * parameters[:, TILT_Y]
+    x, y = 0.5 * parameters[:, cp.TILT_X], 0.5 * parameters[:, cp.TILT_Y]
     out = np.zeros((len(parameters), 7))
     out[:, 3], out[:, 4] = np.sin(x) * np.cos(y), np.cos(x) * np.sin(y)
     out[:, 5], out[:, 6] = -np.sin(x) * np.sin(y), np.cos(x) * np.cos(y)
@@ -85,7 +81,7 @@ def meet_all(geometry, p, frames, motions, work, met):
         if frame_a != a or frame_s != s:
             a, s = frame_a, frame_s
             relate_one(frames[a], motions[a], frames[s], motions[s], pose, twist, scratch)
-        law = p[c, LEVER], p[c, BLUNT], max(0.0, -p[c, OFFSET])
+        law = p[c, cp.LEVER], p[c, cp.BLUNT], max(0.0, -p[c, cp.OFFSET])
         meet(geometry, c, pose, twist, law, scratch, met)
 
 
@@ -93,9 +89,9 @@ def meet_all(geometry, p, frames, motions, work, met):
 def law_of(dt, least_creep, p, state, depth, rate, slip):
     """Normal force [N], and the tangential force over the ``slip`` (3,) [N s/m]."""
     push = contact_force(depth, rate, dt, p, state, False)
-    if push == 0.0 or p[FRICTION] == 0.0:
+    if push == 0.0 or p[cp.FRICTION] == 0.0:
         return push, 0.0
-    limit = p[FRICTION] * abs(push)
+    limit = p[cp.FRICTION] * abs(push)
     creep = max(CREEP, least_creep * limit)
     return push, limit / math.sqrt(slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2 + creep * creep)
 
@@ -137,7 +133,7 @@ def contact_wrench(geometry, laws, sides, latched, hold, met, work, wrench):
         a, s = (frames[ACTIVE], motions[ACTIVE]), (frames[PASSIVE], motions[PASSIVE])
         relate_one(*a, *s, pose, twist, work[:5, :3])
         latch_wrench(p[-1], dt, pose, twist, hold, state[-1], work[:4], work[7][:6])
-        to_frame(frames[PASSIVE], work[7], wrench)
+        wrench_moved(frames[PASSIVE], work[7], wrench)
         return True
     meet_all(geometry, p, frames, motions, work, met)
     return surface_wrench(geometry, laws, frames, met, work[7], wrench)
@@ -145,9 +141,7 @@ def contact_wrench(geometry, laws, sides, latched, hold, met, work, wrench):
 
 @njit(cache=True)
 def surface_wrench(geometry, laws, frames, met, f, wrench):
-    """Add the laws' forces to ``wrench`` (6,), see :func:`contact_wrench`; whether surfaces touch.
-    ``f`` (6,): scratch.
-    """
+    """Add the laws' forces to ``wrench`` (6,); whether surfaces touch. ``f`` (6,): scratch."""
     index = geometry[0]
     dt, least_creep, p, state = laws
     touching = False
@@ -159,17 +153,6 @@ def surface_wrench(geometry, laws, frames, met, f, wrench):
             frame, side = frames[index[c * ROW + SURFACE_FRAME]], index[c * ROW + SIDE]
             add_contact(push, drag, met.point[c], met.normal[c], slip, frame, side, f, wrench)
     return touching
-
-
-@njit(cache=True)
-def to_frame(place, local, wrench):
-    """``wrench`` (6,) in W at W's origin of ``local`` (6,) in S at S's; S at ``place`` (7,)."""
-    rotate(place[3:7], local[0:3], wrench[0:3])
-    rotate(place[3:7], local[3:6], wrench[3:6])
-    fx, fy, fz = wrench[0], wrench[1], wrench[2]
-    wrench[3] += place[1] * fz - place[2] * fy
-    wrench[4] += place[2] * fx - place[0] * fz
-    wrench[5] += place[0] * fy - place[1] * fx
 
 
 @njit(cache=True)
@@ -190,8 +173,8 @@ def latch_wrench(p, dt, pose, twist, hold, state, work, local):
     ``work`` (4, >= 4): scratch.
     """
     turn, q, inverse, f = work[0, :3], work[1, :4], work[2, :4], work[3, :3]
-    k, c = p[STIFFNESS] * p[SIDE_STIFFNESS], p[DAMPING] * p[SIDE_DAMPING]
-    square = (LATCH_RADIUS * p[RING]) ** 2
+    k, c = p[cp.STIFFNESS] * p[cp.SIDE_STIFFNESS], p[cp.DAMPING] * p[cp.SIDE_DAMPING]
+    square = (LATCH_RADIUS * p[cp.RING]) ** 2
     for j in range(3):
         inverse[j] = -hold[3 + j]
         f[j] = k * (pose[j] - hold[j]) + c * twist[j]
@@ -207,15 +190,13 @@ def latch_wrench(p, dt, pose, twist, hold, state, work, local):
 
 @njit(cache=True)
 def held_at(pose, wrench, place, p, hold):
-    """``hold`` (7,): held pose of a latch that closes at ``pose`` (7,), such that its springs carry
-    the force of ``wrench`` (6,) in W.
-    """
+    """``hold`` (7,): held pose of a latch that closes at ``pose`` under ``wrench`` (6,) in W."""
     f = np.empty(3)
     rotate_back(place[3:7], wrench[0:3], f)
     for j in range(7):
         hold[j] = pose[j]
     for j in range(3):
-        hold[j] -= f[j] / (p[STIFFNESS] if j == 2 else p[STIFFNESS] * p[SIDE_STIFFNESS])
+        hold[j] -= f[j] / (p[cp.STIFFNESS] if j == 2 else p[cp.STIFFNESS] * p[cp.SIDE_STIFFNESS])
 
 
 @njit(cache=True)

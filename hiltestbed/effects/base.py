@@ -8,10 +8,10 @@ and starting points, and equivalent delay.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, ClassVar, Self
 
-from hiltestbed.effects.departure import Departure
+from hiltestbed.effects.departure import Departure, Link
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.plugins import placeholder
 
@@ -36,20 +36,31 @@ class Effect(Departure):
     @classmethod
     @placeholder
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """The hypotheses with which a diagnosis searches for it: free parameters, bounds and
-        starting points, scaled to the data.
-        """
+        """The hypotheses of a diagnosis: free parameters, bounds and starts, scaled to the data."""
         raise NotImplementedError
 
     def worth(self, tick: float, frequency: float) -> float | None:
-        """Its equivalent delay [s] in a loop with a ``tick`` [s] and a contact of ``frequency``
-        [rad/s]; None: no delay.
+        """Equivalent delay [s] at a ``tick`` [s], in a contact of ``frequency`` [rad/s]; None:
+        none.
         """
         return None
 
     def unfit(self, scenario: ScenarioLike) -> str | None:
         """Why it cannot act in ``scenario``, and what it would need; None if it can act."""
         return None
+
+
+class LinkParameters:
+    """Base of the parameters of a link's model, which the effects on the ``link`` change."""
+
+    link: ClassVar[Link]
+
+    def with_effects(self, effects: Iterable[Effect]) -> Self:
+        """Apply those of ``effects`` that act on the link, in place; returns itself."""
+        for effect in effects:
+            if effect.link == self.link:
+                effect.apply(self)
+        return self
 
 
 def repeated(effects: Sequence[Effect]) -> Iterator[tuple[int, Effect]]:

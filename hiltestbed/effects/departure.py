@@ -82,9 +82,7 @@ class Departure(Strictly):
 
     @property
     def variant(self) -> Mapping[str, Any]:
-        """Which interpretation of the equation is meant, where it is ambiguous; empty for the one
-        that a scenario states.
-        """
+        """Which interpretation of an ambiguous equation is meant; empty: that of a scenario."""
         return self._variant
 
     def read_as(self, variant: Mapping[str, Any]) -> Self:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hiltestbed.effects.base import Effect
+from hiltestbed.effects.base import Effect, LinkParameters
 from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.plugins import register
@@ -18,11 +18,12 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class LogParameters:
+class LogParameters(LinkParameters):
     """The record of one run. skew: [s] by which the wrench is stamped late. reread: whether it was
     read again at the later time, instead of being interpolated between the loop's own readings.
     """
 
+    link = "log"
     skew: float = 0.0
     reread: bool = False
 
@@ -51,15 +52,6 @@ class LogSkew(Effect):
         starts, ends = scales.delays, (0.0, scales.longest_delay)
         for variant in ({}, {"reread": True}):
             yield candidate(cls, {"delay": starts}, bounds={"delay": ends}, variant=variant)
-
-
-def log_parameters(effects: Sequence[Effect]) -> LogParameters:
-    """The parameters of the record with those of ``effects`` that act on it."""
-    p = LogParameters()
-    for effect in effects:
-        if effect.link == "log":
-            effect.apply(p)
-    return p
 
 
 def stamp_late(trace: Trace, rate: float, skews: Sequence[float]) -> None:

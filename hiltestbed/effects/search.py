@@ -2,8 +2,8 @@
 points.
 
 The fit of an effect may be discontinuous at whole ticks, have flat ranges (clipping, dead zone) and
-several minima, so each candidate
-brings a grid of starting points, scaled to the data: peak force, penetration, rate.
+several minima, so each candidate brings a grid of starting points, scaled to the data: peak force,
+penetration, rate.
 """
 
 from __future__ import annotations
@@ -83,8 +83,7 @@ class Candidate:
         log: which are searched logarithmically. grid: starting points. fixed: parameters that are
             chosen, not fitted.
         variant: an interpretation of the equation where it is ambiguous, or how a facility computes
-            it; name to value, read by
-            :meth:`Effect.apply` from ``effect.variant``.
+            it; name to value, read by :meth:`Effect.apply` from ``effect.variant``.
         choices: number of candidates that differ only in ``fixed``: choosing among them costs 2
             ln(choices) in chi-square.
         needs: parameters, as "kind:name", without which this one means nothing: it is a part of an
@@ -137,8 +136,8 @@ class Candidate:
         )
 
     def shapes(self) -> list[tuple[float, ...]]:
-        """Starting points that differ in more than the ``linear`` parameter, which has the
-        middle one of its values.
+        """Starts that differ in more than the ``linear`` parameter, with the middle one of its
+        values.
         """
         groups: dict[tuple[float, ...], list[tuple[float, ...]]] = {}
         for start in self.grid:

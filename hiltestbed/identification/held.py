@@ -11,9 +11,7 @@ fitted:
   from the attitude in which it closed;
 - the torque is about the position of the site when the force acted.
 
-A facility knows all of these: the sites from the mechanism's drawing, the closing from its
-switches, the pose from its platform. A site on a moving part of the active side is taken at its
-position when the latch closed.
+A site on a moving part of the active side is taken at its position when the latch closed.
 """
 
 from __future__ import annotations
@@ -148,9 +146,7 @@ def update_held(pose, captured, steps, latches, now):
 
 @njit(cache=True)
 def referred(pose, twist, lever, reference, position, velocity):
-    """``position`` (6,) and ``velocity`` (6,) in P of the reference point: its position, and the
-    rotation vector from ``reference``.
-    """
+    """Position with rotation vector from ``reference``, and velocity (6,), of the point, in P."""
     v, q = np.empty(3), np.empty(4)
     rotate(pose[3:7], lever, v)
     for j in range(3):
@@ -161,13 +157,3 @@ def referred(pose, twist, lever, reference, position, velocity):
     velocity[2] = twist[2] + twist[3] * v[1] - twist[4] * v[0]
     quat_mul_conj(pose[3:7], reference, q)
     rotation_vector(q, position[3:6])
-
-
-@njit(cache=True)
-def add_moment(sign, position, wrench):
-    """Add to the torque of a ``wrench`` (6,) ``sign`` times the moment of its force at ``position``
-    (3,): -1 moves the reference point to ``position``, 1 moves it back.
-    """
-    wrench[3] += sign * (position[1] * wrench[2] - position[2] * wrench[1])
-    wrench[4] += sign * (position[2] * wrench[0] - position[0] * wrench[2])
-    wrench[5] += sign * (position[0] * wrench[1] - position[1] * wrench[0])

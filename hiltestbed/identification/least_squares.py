@@ -5,24 +5,17 @@ error dx of the touch point causes ``dk/k ~ -(4/pi) dx/x_max``. The samples are 
 :mod:`hiltestbed.identification.samples`: pose and force of the same instant.
 
 The recursion is in information form (L. Ljung, System Identification, 2nd ed. 1999, eq. 11.12): the
-sums of products are updated, and the estimate is solved from them. It is the usual recursion in the
-limit P0 to infinity, so that no P0 biases the estimate.
+sums of products are updated, and the estimate is solved from them.
 
 A latch that alone carries an axis is a spring and damper there; if a joint away from its reference
 point couples two axes, the partner axis enters as additional regressors, as derived below. Where
 joints, stops or surfaces with friction share the load, the residual of k and c exceeds the sensor's
 noise, and no estimate is given. Nor is one given where a latched axis hardly moves.
 
-The methods for comparison use other samples: the raw force with the pose of the same tick, or the
-force after the phase lead (the usual method in the literature), for which a delay acts as a damping
-``-k tau`` that biases c.
-
 **Coupled axes** of a captured pair. A ball joint of stiffness K at a distance L along the axis from
 the reference point resists translation there, and so couples translation along x with rotation
-about y by K L, and y with rx by -K L. Where both move, ``F = k x + c v + b`` has to explain the
-coupled force by x and v alone, and since the two motions are correlated the coupling biases k and
-c. The regression of such an axis then includes the partner axis's displacement x' and rate v', ``F
-= k x + c v + k' x' + c' v' + b``.
+about y by K L, and y with rx by -K L. The regression of such an axis then includes the partner
+axis's displacement x' and rate v', ``F = k x + c v + k' x' + c' v' + b``.
 
 With A, B, D the sums of products about the means of (x, v) with themselves, with (x', v'), and of
 (x', v') with themselves, and a, d those of the force with either, the two own regressors give t =
@@ -40,7 +33,7 @@ A^-1 B S^-1 B^T A^-1) (G. A. F. Seber, A. J. Lee, Linear Regression Analysis, 2n
 - Do they explain anything? Without coupling drop/s^2 is chi-square with 2 degrees of freedom,
   P(drop > D) = exp(-D/(2 s^2)). The test is repeated with every sample: at drop > 4 s^2 ln n the
   false-positive rate is 1/n^2, which sums to 0.13 from the eighth sample on, however long the
-  record. Any coupling is found eventually, since drop grows with n.
+  record.
 - Do they explain everything? If only springs and dampers act, the residual sum of squares over s^2
   is chi-square with m = n - 5 degrees of freedom, which exceeds m + 2 sqrt(m ln n) + 2 ln n with
   probability below 1/n (B. Laurent, P. Massart, Annals of Statistics 28, 2000, lemma 1). Above
@@ -50,10 +43,8 @@ A^-1 B S^-1 B^T A^-1) (G. A. F. Seber, A. J. Lee, Linear Regression Analysis, 2n
   s^2 sqrt(m ln n) is added to the residual sum of squares when the estimate is judged: few samples
   cannot prove the absence of friction.
 
-So the partner is never included where the noise of the force is unknown or zero. If its motion is
-fully correlated with the axis's own, it explains nothing, whatever the coupling; within rounding (S
-below 1e-10 of D, as for the axis's own two regressors) it is excluded before the division. The
-standard deviations cover the noise, not what may be hidden in it.
+So the partner is never included where the noise of the force is unknown or zero. The standard
+deviations cover the noise, not what may be hidden in it.
 """
 
 from __future__ import annotations
@@ -152,43 +143,61 @@ class RecursiveLeastSquares:
 @njit(cache=True)
 def _estimate(captured, changes, samples, forgetting, noise, products, s):
     """``products`` (n, PAIRS, PRODUCTS): of coupled axes; None for a mechanism without latches."""
-    if products is not None:
-        _begin_anew(changes, products, s)
-    _accumulate(samples, forgetting, captured, products, s)
-    _solve(samples, captured, noise, products, s)
-
-
-@njit(cache=True)
-def _begin_anew(changes, products, s):
-    """Reset the six axes where the mechanism has changed: a latch, a phase of capture."""
+    ready, ready_normal, place, whole = samples
     seen, sums, found, used = s
-    for i in range(changes.shape[0]):
-        if changes[i] == seen[i]:
-            continue
-        seen[i] = changes[i]
-        for j in range(NORMAL):
+    out = np.empty(4)
+    for i in range(sums.shape[0]):
+        # the six axes begin anew where the mechanism has changed: a latch, a phase of capture
+        anew = products is not None and changes[i] != seen[i]
+        for j in range(NORMAL if anew else 0):
             used[i, j] = 0.0
-            for c in range(sums.shape[2]):
+            for c in range(SUMS):
                 sums[i, j, c] = 0.0
-            for c in range(found.shape[0]):
+            for c in range(4):
                 found[c, i, j] = np.nan
-        for j in range(products.shape[1]):
-            for c in range(products.shape[2]):
-                products[i, j, c] = 0.0
-
-
-@njit(cache=True)
-def _accumulate(samples, forgetting, captured, products, s):
-    ready, ready_normal, sample = samples.ready, samples.ready_normal, samples.whole
-    sums, used = s.sums, s.used
-    for i in range(sample.shape[0]):
+        if products is not None:
+            seen[i] = changes[i]
+            for j in range(PAIRS):
+                a, b, pair = whole[i, j], whole[i, PARTNERS[j]], products[i, j]
+                for c in range(PRODUCTS if anew else 0):
+                    pair[c] = 0.0
+                if ready[i] and captured[i]:
+                    for c in range(PRODUCTS):
+                        pair[c] *= forgetting[i]
+                    pair[0] += a[0] * b[0]
+                    pair[1] += a[0] * b[1]
+                    pair[2] += a[1] * b[0]
+                    pair[3] += a[1] * b[1]
+                    pair[4] += b[0] * a[3]
+                    pair[5] += b[1] * a[3]
+                    pair[6] += a[0] * b[3]
+                    pair[7] += a[1] * b[3]
+        for j in range(7):
+            if ready[i] if j < NORMAL else ready_normal[i]:
+                accumulate(sums[i, j], whole[i, j], forgetting[i])
+                used[i, j] += 1.0
         for j in range(7):
             if not (ready[i] if j < NORMAL else ready_normal[i]):
                 continue
-            accumulate(sums[i, j], sample[i, j], forgetting[i])
-            used[i, j] += 1.0
-        if products is not None and ready[i] and captured[i]:
-            accumulate_pairs(sample[i], forgetting[i], products[i])
+            total, rest = _fit(sums[i, j], out)
+            held = captured[i] and j < NORMAL
+            if total <= 0.0 and not held:
+                continue
+            variance = 0.0  # of the sensor noise, with torques about the place of the latch
+            if products is not None:
+                if held:
+                    x, y, z = place[i]
+                    arm2 = x**2 + y**2 + z**2 - place[i, j - 3] ** 2 if j >= 3 else 0.0
+                    variance = noise[i, j // 3] + noise[i, 0] * arm2
+                if held and total > 0.0 and PARTNERS[j] >= 0:
+                    _, rest = take_in_partner(
+                        j, products[i], sums[i, j], sums[i, PARTNERS[j]], variance, rest, out
+                    )
+            accepted = total > 0.0 and total - rest >= EXPLAINED * total
+            if held:
+                accepted &= rest - sums[i, j, 0] * variance <= HELD_REST * (total - rest)
+            for q in range(4):
+                found[q, i, j] = out[q] if accepted else np.nan
 
 
 @njit(cache=True)
@@ -210,22 +219,8 @@ def accumulate(s, sample, forgetting):
 
 
 @njit(cache=True)
-def _variance(j, place, noise):
-    """Variance of the sensor noise on an axis, with torques about ``place`` (3,) in P; ``noise``
-    (2,): variances of force and torque.
-    """
-    if j < 3:
-        return noise[0]
-    return noise[1] + noise[0] * (place[0] ** 2 + place[1] ** 2 + place[2] ** 2 - place[j - 3] ** 2)
-
-
-@njit(cache=True)
 def _fit(sums, out):
-    """Write k, c and their standard deviations to ``out`` (4,), which is unchanged if the axis has
-    not moved.
-
-    Returns the sums of squares of the force about its mean, and of the residual of the fit.
-    """
+    """k, c and sd to ``out`` (4,) if the axis moved; sums of squares of force and residual."""
     if sums[0] < MINIMUM_SAMPLES:
         return 0.0, 0.0
     n, xx, xv, vv, xy, vy, total = about_means(sums)
@@ -242,33 +237,6 @@ def _fit(sums, out):
 
 
 @njit(cache=True)
-def _solve(samples, captured, noise, products, s):
-    ready, ready_normal, place = samples.ready, samples.ready_normal, samples.place
-    sums, found = s.sums, s.found
-    out = np.empty(4)
-    for i in range(sums.shape[0]):
-        for j in range(7):
-            if not (ready[i] if j < NORMAL else ready_normal[i]):
-                continue
-            total, rest = _fit(sums[i, j], out)
-            held = captured[i] and j < NORMAL
-            if total <= 0.0 and not held:
-                continue
-            variance = 0.0
-            if products is not None:
-                variance = _variance(j, place[i], noise[i]) if held else 0.0
-                if held and total > 0.0 and PARTNERS[j] >= 0:
-                    _, rest = take_in_partner(
-                        j, products[i], sums[i, j], sums[i, PARTNERS[j]], variance, rest, out
-                    )
-            accepted = total > 0.0 and total - rest >= EXPLAINED * total
-            if held:
-                accepted &= rest - sums[i, j, 0] * variance <= HELD_REST * (total - rest)
-            for q in range(4):
-                found[q, i, j] = out[q] if accepted else np.nan
-
-
-@njit(cache=True)
 def about_means(sums):
     """Number of samples, and sums of x x, x v, v v, x y, v y, y y about the means."""
     n, x, v, y, xx, xv, vv, xy, vy, yy = sums
@@ -280,46 +248,6 @@ def about_means(sums):
         xy - x * y / n,
         vy - v * y / n,
         yy - y * y / n,
-    )
-
-
-@njit(cache=True)
-def accumulate_pairs(sample, forgetting, products):
-    """Add a ``sample`` (7, 4) of a captured pair to its ``products`` (PAIRS, PRODUCTS)."""
-    for j in range(PAIRS):
-        s, p = products[j], PARTNERS[j]
-        xa, va, ya = sample[j, 0], sample[j, 1], sample[j, 3]
-        xb, vb, yb = sample[p, 0], sample[p, 1], sample[p, 3]
-        for c in range(PRODUCTS):
-            s[c] *= forgetting
-        s[0] += xa * xb
-        s[1] += xa * vb
-        s[2] += va * xb
-        s[3] += va * vb
-        s[4] += xb * ya
-        s[5] += vb * ya
-        s[6] += xa * yb
-        s[7] += va * yb
-
-
-@njit(cache=True)
-def _across(j, products, own, other):
-    """Sums of products about the means, of axis ``j`` with its partner: x x', x v', v x', v v', x'
-    y, v' y; ``own``, ``other``: the sums of both axes.
-    """
-    n = own[0]
-    first = j < PAIRS
-    s = products[j if first else PARTNERS[j]]
-    xx, vv = s[0], s[3]
-    xv, vx, xy, vy = (s[1], s[2], s[4], s[5]) if first else (s[2], s[1], s[6], s[7])
-    x, v, y, p, q = own[1], own[2], own[3], other[1], other[2]
-    return (
-        xx - x * p / n,
-        xv - x * q / n,
-        vx - v * p / n,
-        vv - v * q / n,
-        xy - p * y / n,
-        vy - q * y / n,
     )
 
 
@@ -341,7 +269,12 @@ def take_in_partner(j, products, own, other, variance, rest, out):
     if m < 1.0:
         return False, rest
     _, d11, d12, d22, _, _, _ = about_means(other)
-    b11, b12, b21, b22, e1, e2 = _across(j, products, own, other)
+    s = products[j if j < PAIRS else PARTNERS[j]]
+    xv, vx, xy, vy = (s[1], s[2], s[4], s[5]) if j < PAIRS else (s[2], s[1], s[6], s[7])
+    x, v, y, p, q = own[1], own[2], own[3], other[1], other[2]
+    # sums of products about the means, with the partner's motion and with the force
+    b11, b12, b21, b22 = s[0] - x * p / n, xv - x * q / n, vx - v * p / n, s[3] - v * q / n
+    e1, e2 = xy - p * y / n, vy - q * y / n
     det = a11 * a22 - a12 * a12
     w11, w12 = (a22 * b11 - a12 * b21) / det, (a22 * b12 - a12 * b22) / det  # W = A^-1 B
     w21, w22 = (a11 * b21 - a12 * b11) / det, (a11 * b22 - a12 * b12) / det

@@ -2,9 +2,8 @@
 
 The force measured at t_k acted at t_k - delay, so x and v are taken at that time, from the history
 of the pose, and pass a model of the sensor's filters: nothing is differentiated and no lead is
-needed. A sample is used if the axial force is above the noise for some time
-before and after it: at touch and at separation the force is clipped, and the filters have a memory
-of that.
+needed. A sample is used if the axial force is above the noise for some time before and after it: at
+touch and at separation the force is clipped, and the filters have a memory of that.
 
 On a plane the spring and damper act along the six components of the relative pose. In a captured
 mechanism they act along those of the latch's reference point
@@ -17,8 +16,7 @@ An unknown delay can be estimated from the instant of touch: the pose crosses th
 point at t0, the force rises at t0 + delay. Nothing else determines it: during the contact, c
 absorbs any error of the delay (``c - k d`` fits as well as ``c``, to first order in w d). The
 estimate needs a touch point that is known to ``v0 d`` (30 um for a millisecond at 0.03 m/s), and a
-force that rises by more than its noise within a tick; where it does not, the reported standard
-deviation is larger.
+force that rises by more than its noise within a tick.
 """
 
 from __future__ import annotations
@@ -35,9 +33,10 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.geometry import ROW, SIDE, unmet
 from hiltestbed.contact.parameters import LEVER, PARAMETERS
 from hiltestbed.contact.wrench import meet_all
-from hiltestbed.frames import Array
-from hiltestbed.identification.held import HeldPlace, add_moment, referred, update_held
+from hiltestbed.frames import Array, add_moment
+from hiltestbed.identification.held import HeldPlace, referred, update_held
 from hiltestbed.sensor.chain import FILTERED, filtered, filters_of, high_pass, low_pass
+from hiltestbed.signals import AXES
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
@@ -47,7 +46,7 @@ if TYPE_CHECKING:
 # a sample is in contact if the force exceeds this many standard deviations of its noise
 GATE_SIGMA = 5.0
 GATE_PEAK = 0.02  # and this fraction of the peak so far
-NORMAL = 6  # column of the contact normal, after the six axes
+NORMAL = len(AXES)  # column of the contact normal, after the six axes
 # time constants of the low-pass that are skipped at both ends of a contact: exp(-3) = 5 % remains
 FILTER_MEMORY = 3.0
 # [N, N m] 1 sigma of a force that has passed a lead, or is paired with a pose of another time
@@ -130,8 +129,7 @@ class ContactSamples:
         at_once: ``(n,)`` largest number of surfaces penetrated at the same tick; 0 if the pose does
             not show it.
         captures: whether the mechanism has latches. steps: ``(n,)`` number of phases of capture
-            begun. held: the latch's reference point, and
-            the changes of the mechanism.
+            begun. held: the latch's reference point, and the changes of the mechanism.
     """
 
     def __init__(
@@ -196,8 +194,7 @@ class ContactSamples:
         self.held = held = HeldPlace(mechanisms)
         self.captures = first.captures
         self.captured, self.steps = np.zeros(n, dtype=bool), np.zeros(n, dtype=np.int64)
-        # force and speed at the first contact sample, delay as found then
-        self._onset = np.full((n, 3), np.nan)
+        self._touched = np.zeros(n, dtype=bool)  # whether there was a contact sample
         self.found = Samples(
             np.zeros(n, dtype=bool), np.zeros(n, dtype=bool), np.zeros((n, 3)), np.zeros((n, 7, 4))
         )
@@ -205,14 +202,14 @@ class ContactSamples:
         self.sample = self.whole[:, :NORMAL]
         self.at_once = np.zeros(n, dtype=np.int64)
         self._met = Call(_meet, ..., sides.geometry, GIVEN, GIVEN, past, self.at_once)
-        onset = (longest, self._onset) if estimate else None
+        onset = (longest, self._touched) if estimate else None
         latches = held.latches if self.captures else None
         parts = (given, past, self.delay, latches, held.now, onset, self.found)
         self._taken = Call(_take, ..., (GIVEN,) * 6, *parts)
 
     def take(self, wrench: Array, pose: Array, twist: Array, led: Array | None = None) -> None:
-        """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``;
-        ``led``: the wrench after the lead.
+        """Process wrench ``(n, 6)``, pose ``(n, 7)``, twist at t_k; ``led``: the wrench after a
+        lead.
         """
         k = int(self._clock[0])
         force = wrench if led is None else led
@@ -221,38 +218,10 @@ class ContactSamples:
         self._taken.on(wrench, force, pose, twist, self.captured, self.steps)(k)
         self._clock[0] = k + 1
 
-    def delay_sd(self, stiffness: Array) -> Array:
-        """``(n,)`` [s] standard deviation of the estimated delay, given the axial stiffness
-        ``(n,)``; NaN before a touch.
-
-        The touch lies within the tick before the first force or, if the force rises so slowly that
-        an earlier tick may have been below the noise, within the time that the force takes to
-        exceed the threshold.
-        """
-        force, speed = self._onset[:, 0], self._onset[:, 1]
-        hidden = force - stiffness * speed * self.tick <= self.threshold
-        slow = np.where(hidden, self.threshold / (stiffness * speed), 0.0)
-        return np.hypot(self.tick / math.sqrt(12.0), slow)
-
-
-@njit(cache=True)
-def _remember(k, pose, twist, lever, reference, past):
-    x, v = past.x, past.v
-    slot = k % x.shape[1]
-    for i in range(pose.shape[0]):
-        referred(pose[i], twist[i], lever[i], reference[i], x[i, slot], v[i, slot])
-        if k == 0:  # the values before the start do not matter: no force acted then
-            for s in range(x.shape[1]):
-                for j in range(x.shape[2]):
-                    x[i, s, j] = x[i, slot, j]
-                    v[i, s, j] = v[i, slot, j]
-
 
 @njit(cache=True)
 def _meet(k, geometry, pose, twist, past, at_once):
-    """Penetration, its rate and the normal of the deepest contact at t_k, in the column after the
-    six axes; and how many contacts there are at once.
-    """
+    """Depth, rate and normal of the deepest contact at t_k, and how many there are at once."""
     index, x, v, normal = geometry.index, past.x, past.v, past.normal
     slot, length, count = k % x.shape[1], x.shape[1], index[-1]
     frames = np.zeros((2, 7))
@@ -293,29 +262,39 @@ def _take(k, rig, given, past, delay, latches, held, onset, found):
     ``latches``: None without any. ``onset``: None for a delay that is known.
     """
     wrench, force, pose, twist, captured, steps = rig
+    x, v, gated, peak, felt = past.x, past.v, past.gated, past.peak, past.felt
+    length, slot = x.shape[1], k % x.shape[1]
     if latches is not None:
         update_held(pose, captured, steps, latches, held)
-    _remember(k, pose, twist, held.lever, held.reference, past)
-    _gate(wrench, captured, delay, given, past)
-    if onset is not None:
-        _find_delay(k, given.tick, onset, wrench, past, delay)
-    _sample(k, force, captured, delay, given, past, held.origin, found.place)
-    _choose(k, delay, given, past, held.changes, held.since, found)
-
-
-@njit(cache=True)
-def _sample(k, wrench, captured, delay, given, past, origin, place):
-    """x, v and 1 at t_k - delay while in contact, else 0, through the model of the sensor's
-    filters, with the force read at t_k.
-    """
-    h, smooth, leak = given.tick, given.smooth, given.leak
-    x, v, normal, memory = past.x, past.v, past.normal, past.filter
-    pending, gated = past.pending, past.gated
-    length = x.shape[1]
-    slot = k % pending.shape[1]
-    f = np.empty(6)
-    for i in range(wrench.shape[0]):
-        ticks = delay[i] / h
+    for i in range(pose.shape[0]):
+        referred(pose[i], twist[i], held.lever[i], held.reference[i], x[i, slot], v[i, slot])
+        if k == 0:  # the values before the start do not matter: no force acted then
+            for s in range(length):
+                for j in range(x.shape[2]):
+                    x[i, s, j] = x[i, slot, j]
+                    v[i, s, j] = v[i, slot, j]
+        # pushing is positive; a high-pass leaves a negative undershoot after the contact
+        axial = wrench[i, 2]
+        peak[i] = max(peak[i], axial)
+        felt[i] = felt[i] + 1 if captured[i] else 0
+        # the force read now acted after the latches had closed
+        acted = felt[i] > delay[i] / given.tick + 1.0
+        pressed = axial > given.threshold[i] and axial > GATE_PEAK * peak[i]
+        gated[i] = gated[i] + 1 if acted or pressed else 0
+        if onset is None or gated[i] != 1 or onset[1][i]:
+            continue
+        # at a run's first contact sample: delay as the time since the nominal touch was crossed
+        for back in range(length - 1):  # the tick within which the pose crossed the touch point
+            late, early = x[i, (k - back) % length, 2], x[i, (k - back - 1) % length, 2]
+            if early < 0.0 <= late:
+                crossed = back + late / (late - early)
+                delay[i] = min(max((crossed - 0.5) * given.tick, 0.0), onset[0])
+                onset[1][i] = True
+                break
+    f, pending, now, place = np.empty(6), past.pending, k % past.pending.shape[1], found.place
+    for i in range(pose.shape[0]):
+        # x, v and 1 at t_k - delay in contact, else 0, through the sensor's filters; the force read
+        ticks = delay[i] / given.tick
         whole = int(math.floor(ticks))
         part = ticks - whole
         late = (k - whole) % length  # the tick that ends at or after t_k - delay
@@ -329,74 +308,32 @@ def _sample(k, wrench, captured, delay, given, past, origin, place):
             )
             if captured[i] and j < 3:
                 place[i, j] = position
-                position -= origin[i, j]
+                position -= held.origin[i, j]
             for c in range(3):
                 u = 0.0 if gated[i] == 0 else position if c == 0 else rate if c == 1 else 1.0
-                pending[i, slot, j, c] = filtered(u, smooth[i], leak[i], memory[i, j, c])
-        pending[i, slot, NORMAL, 3] = 0.0
+                memory = past.filter[i, j, c]
+                pending[i, now, j, c] = filtered(u, given.smooth[i], given.leak[i], memory)
+        pending[i, now, NORMAL, 3] = 0.0
         for j in range(6):
-            f[j] = wrench[i, j]
+            f[j] = force[i, j]
         if captured[i]:
             add_moment(-1.0, place[i], f)
         for j in range(6):
-            pending[i, slot, j, 3] = f[j]
+            pending[i, now, j, 3] = f[j]
             if j < 3:
-                pending[i, slot, NORMAL, 3] += wrench[i, j] * (
-                    (1.0 - part) * normal[i, late, j] + part * normal[i, early, j]
+                pending[i, now, NORMAL, 3] += force[i, j] * (
+                    (1.0 - part) * past.normal[i, late, j] + part * past.normal[i, early, j]
                 )
-
-
-@njit(cache=True)
-def _choose(k, delay, given, past, changes, since, found):
-    """The sample of ``margin`` (n,) ticks ago, which is used if the contact lasted for as many
-    ticks before and after it.
-
-    On the six axes the mechanism must not have changed in that time, counted from when the force
-    acted.
-    """
-    h, margin, flat, known = given.tick, given.margin, given.flat, given.known
-    gated, felt, pending = past.gated, past.felt, past.pending
-    for i in range(gated.shape[0]):
-        lasted = gated[i] >= 2 * margin[i] + 1
-        same = changes[i] == 0 or since[i] >= 2 * margin[i] + 1 + math.ceil(delay[i] / h)
-        found.ready[i] = lasted and same and (flat[i] or felt[i] > 0)
-        found.ready_normal[i] = lasted and known and felt[i] == 0
-        slot = (k - margin[i]) % pending.shape[1]
+        # The sample of ``margin`` ticks ago is used if the contact lasted for as many ticks before
+        # and after it. On the six axes the mechanism must not have changed in that time, counted
+        # from when the force acted.
+        margin = given.margin[i]
+        needed = 2 * margin + 1
+        lasted = gated[i] >= needed
+        same = held.changes[i] == 0 or (held.since[i] >= needed + math.ceil(delay[i] / given.tick))
+        found.ready[i] = lasted and same and (given.flat[i] or felt[i] > 0)
+        found.ready_normal[i] = lasted and given.known and felt[i] == 0
+        then = (k - margin) % pending.shape[1]
         for j in range(7):
             for c in range(4):
-                found.whole[i, j, c] = pending[i, slot, j, c]
-
-
-@njit(cache=True)
-def _gate(wrench, captured, delay, given, past):
-    threshold, gated, peak, held = given.threshold, past.gated, past.peak, past.felt
-    for i in range(wrench.shape[0]):
-        # pushing is positive; a high-pass leaves a negative undershoot after the contact
-        force = wrench[i, 2]
-        peak[i] = max(peak[i], force)
-        held[i] = held[i] + 1 if captured[i] else 0
-        # the force read now acted after the latches had closed
-        felt = held[i] > delay[i] / given.tick + 1.0
-        gated[i] = (
-            gated[i] + 1 if felt or (force > threshold[i] and force > GATE_PEAK * peak[i]) else 0
-        )
-
-
-@njit(cache=True)
-def _find_delay(k, h, onset, wrench, past, delay):
-    """At a run's first contact sample: delay as the time since the nominal touch was crossed."""
-    longest, first = onset
-    x, v, gated = past.x, past.v, past.gated
-    length = x.shape[1]
-    for i in range(wrench.shape[0]):
-        if gated[i] != 1 or not np.isnan(first[i, 0]):
-            continue
-        for back in range(length - 1):  # the tick within which the pose crossed the touch point
-            late, early = x[i, (k - back) % length, 2], x[i, (k - back - 1) % length, 2]
-            if early < 0.0 <= late:
-                crossed = back + late / (late - early)
-                delay[i] = min(max((crossed - 0.5) * h, 0.0), longest)
-                first[i, 0] = wrench[i, 2]
-                first[i, 1] = v[i, (k - back) % length, 2]
-                first[i, 2] = delay[i]
-                break
+                found.whole[i, j, c] = pending[i, then, j, c]

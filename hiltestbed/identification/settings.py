@@ -5,32 +5,15 @@ one class per method.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol, Self, TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol, Self
 
 from hiltestbed.config.validation import Strictly
 from hiltestbed.frames import Array
-from hiltestbed.plugins import OneOf, Registry, placeholder
+from hiltestbed.plugins import OneOf, Registry, all_of, placeholder
 
 if TYPE_CHECKING:
-    from hiltestbed.identification.held import HeldPlace
-    from hiltestbed.identification.samples import SampleParameters
+    from hiltestbed.identification.samples import ContactSamples, SampleParameters
     from hiltestbed.scenario.like import ScenarioLike
-
-
-class SampleSource(Protocol):
-    """Where an estimator takes its contact samples from: what the loop tells it.
-
-    Attributes:
-        captured: ``(n,)`` whether the mechanism is captured. steps: ``(n,)`` capture phases begun.
-        held: the latch's reference point.
-    """
-
-    captured: NDArray[np.bool_]
-    steps: NDArray[np.int64]
-    held: HeldPlace
 
 
 class Identification(Protocol):
@@ -47,7 +30,7 @@ class Identification(Protocol):
     samples: Array
 
     @property
-    def source(self) -> SampleSource: ...
+    def source(self) -> ContactSamples: ...
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
         """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
@@ -79,16 +62,6 @@ IDENTIFIERS: Registry[Identifier] = Registry(
     "identifier", Identifier, ("hiltestbed.identification.methods",)
 )
 AnyIdentifier = Annotated[Identifier, OneOf(IDENTIFIERS)]
-Own = TypeVar("Own", bound=Identifier)
-
-
-def identifier_of(scenarios: Sequence[ScenarioLike], method: type[Own]) -> list[Own]:
-    """``identification`` of each, all of class ``method``. Raises TypeError for another."""
-    sections = [s.identification for s in scenarios]
-    other = next((s for s in sections if not isinstance(s, method)), None)
-    if other is not None:
-        raise TypeError(f"settings of {method.__name__} expected (got {type(other).__name__})")
-    return sections  # type: ignore[return-value]
 
 
 class ContactIdentifier(Identifier):
@@ -98,7 +71,8 @@ class ContactIdentifier(Identifier):
     def start(cls, scenarios: Sequence[ScenarioLike]) -> Identification | None:
         from hiltestbed.identification.samples import SampleParameters
 
-        return cls.estimator(identifier_of(scenarios, cls), SampleParameters.of(scenarios))
+        own = all_of(cls, [s.identification for s in scenarios])
+        return cls.estimator(own, SampleParameters.of(scenarios))
 
     @classmethod
     def estimator(cls, own: Sequence[Self], given: SampleParameters) -> Identification | None:

@@ -24,7 +24,7 @@ from scipy.signal import savgol_filter
 from hiltestbed.compensation.input import InputParameters
 from hiltestbed.contact.parameters import believed_contacts, contact_rows
 from hiltestbed.contact.sides import sides_of
-from hiltestbed.effects.log import log_parameters
+from hiltestbed.effects.log import LogParameters
 from hiltestbed.frames import Array
 from hiltestbed.measured.noise import MAD_TO_SIGMA, OUTLIER_SIGMA
 from hiltestbed.measured.ratio import CLEAR, REMAINDER, correlation
@@ -296,6 +296,6 @@ def believed_reading(record: Record, scenario: Scenario) -> tuple[Array, Array]:
     undamped = [replace(c, damping=0.0) for c in damped]
     sensor, rules = SensorParameters.believed(scenario.sensor), sides_of(mechanism).rules
     rows = (contact_rows(c, rules, mechanism.captured) for c in (undamped, damped))
-    lanes = [Lane(0, contacts, sensor, log_parameters(())) for contacts in rows]
+    lanes = [Lane(0, contacts, sensor, LogParameters()) for contacts in rows]
     spring, both = replay_wrench(felt, lanes)
     return spring, both

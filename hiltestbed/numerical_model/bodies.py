@@ -76,31 +76,13 @@ def rest_inertia(
     )
 
 
-def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
-    """Linear [kg m/s] and angular [N m s] momentum of both bodies together, about the inertial
-    origin.
-
-    Args:
-        mass: ``(..., 2)``. inertia: ``(..., 2, 3, 3)``. q: ``(..., 2, 7)``. v: ``(..., 2, 6)``.
-
-    Returns:
-        ``(..., 6)``.
-    """
-    linear = mass[..., None] * v[..., :3]
-    spin = np.einsum("...ij,...j->...i", rotation_matrix(q[..., 3:]) @ inertia, v[..., 3:])
-    angular = np.cross(q[..., :3], linear) + spin
-    return np.concatenate([linear.sum(axis=-2), angular.sum(axis=-2)], axis=-1)
-
-
 def mobility(spacecraft: Spacecraft) -> Array:
     """``(6, 6)`` M^-1: relative acceleration at A per wrench there, in P, at the nominal touch."""
     return _mobility(spacecraft.chaser) + _mobility(spacecraft.target)
 
 
 def _mobility(body: Body) -> Array:
-    """Of one body at its port, in the port's axes, r the port's position: ``[1/m - [r] I^-1 [r],
-    -[r] I^-1; I^-1 [r], I^-1]``.
-    """
+    """Of a body at its port: ``[1/m - [r] I^-1 [r], -[r] I^-1; I^-1 [r], I^-1]``, in its axes."""
     port = port_pose(body)
     turn = rotation_matrix(port[3:])
     inverse = turn.T @ np.linalg.inv(inertia_matrix(body.inertia)) @ turn

@@ -15,15 +15,13 @@ from hiltestbed.effects.base import Effect
 from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.numerical_model.bodies import inertia_matrix, rest_inertia
-from hiltestbed.numerical_model.parameters import RESISTED, Resistance
+from hiltestbed.numerical_model.parameters import BODIES, RESISTED
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.parameters import DynamicsParameters
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
-
-BODIES = ("chaser", "target")
 Body = Literal["chaser", "target"]
 Offset = Annotated[
     tuple[Annotated[float, Field(ge=-10.0, le=10.0)], ...],
@@ -34,8 +32,14 @@ Offset = Annotated[
 FASTEST = 0.1
 
 
+class DynamicsEffect(Effect):
+    """Base of the effects of the numerical model."""
+
+    link = "dynamics"
+
+
 @register
-class DynamicsMass(Effect):
+class DynamicsMass(DynamicsEffect):
     """The mass in the numerical model differs from the nominal mass."""
 
     kind: Literal["dynamics.mass"] = "dynamics.mass"
@@ -43,7 +47,6 @@ class DynamicsMass(Effect):
         "-", "Mass in the numerical model over nominal mass", gt=0.0, search=(0.3, 3.0), ratio=True
     )
     body: Body = Field(default="chaser", description="Body that the departure concerns")
-    link = "dynamics"
     equation = "m -> factor m in the numerical model"
     reference = "Newton"
     resembles = ("dynamics.appendage",)
@@ -58,7 +61,7 @@ class DynamicsMass(Effect):
 
 
 @register
-class DynamicsInertia(Effect):
+class DynamicsInertia(DynamicsEffect):
     """The inertia in the numerical model differs from the nominal inertia."""
 
     kind: Literal["dynamics.inertia"] = "dynamics.inertia"
@@ -70,7 +73,6 @@ class DynamicsInertia(Effect):
         ratio=True,
     )
     body: Body = Field(default="chaser", description="Body that the departure concerns")
-    link = "dynamics"
     equation = "I -> factor I in the numerical model"
     reference = "Euler"
     resembles = ("dynamics.port_offset",)
@@ -85,7 +87,7 @@ class DynamicsInertia(Effect):
 
 
 @register
-class DynamicsPortOffset(Effect):
+class DynamicsPortOffset(DynamicsEffect):
     """The port is displaced in the numerical model: the contact force has a wrong lever arm."""
 
     kind: Literal["dynamics.port_offset"] = "dynamics.port_offset"
@@ -93,7 +95,6 @@ class DynamicsPortOffset(Effect):
         "m", "Displacement of the port in the numerical model, body axes", search=(-0.5, 0.5)
     )
     body: Body = Field(default="chaser", description="Body that the departure concerns")
-    link = "dynamics"
     equation = "port position += offset (body axes) in the numerical model"
     reference = "lever arm of the contact force"
     resembles = ("dynamics.inertia",)
@@ -112,7 +113,7 @@ class DynamicsPortOffset(Effect):
 
 
 @register
-class DynamicsAppendage(Effect):
+class DynamicsAppendage(DynamicsEffect):
     """A fraction of the body's mass is attached by a spring and damper; away from the centre of
     mass it also exerts a torque.
     """
@@ -138,7 +139,6 @@ class DynamicsAppendage(Effect):
         "Point of attachment from the body's centre of mass, body axes; 0: it exerts no torque",
         default=(0.0, 0.0, 0.0),
     )
-    link = "dynamics"
     equation = (
         "m_a q'' = -k_a q - d_a q' - m_a a_place, m_a = mass_ratio m, k_a = m_a (2 pi f)^2, d_a = "
         "2 m_a damping_ratio (2 pi f); undeflected, the body has its nominal mass and inertia"
@@ -153,7 +153,7 @@ class DynamicsAppendage(Effect):
             (self.mass_ratio, w * w, 2.0 * self.damping_ratio * w, *self.place)
         )
 
-    def unfit(self, scenario: Scenario) -> str | None:
+    def unfit(self, scenario: ScenarioLike) -> str | None:
         if not any(self.place):
             return None
         body = scenario.spacecraft.chaser if self.body == "chaser" else scenario.spacecraft.target
@@ -192,7 +192,7 @@ STRIBECK_SPEED = 1e-3
 
 
 @register
-class DynamicsForce(Effect):
+class DynamicsForce(DynamicsEffect):
     """A force that resists the motion along an axis: viscous and dry friction, and a constant
     offset.
     """
@@ -243,7 +243,6 @@ class DynamicsForce(Effect):
         description="Motion that it resists: of A relative to P (both, equal and opposite), or of "
         "one body",
     )
-    link = "dynamics"
     equation = (
         "R = offset + viscous (1 - viscous_asymmetry sgn v) v + (coulomb + (static - coulomb) "
         "exp(-(v/stribeck_speed)^2)) sgn(v), sgn(0) what holds it, from -1 to 1; the mean over a "
@@ -259,19 +258,12 @@ class DynamicsForce(Effect):
 
     def apply(self, p: DynamicsParameters) -> None:
         rise = 0.0 if self.static is None else self.static - self.coulomb
-        law = Resistance(
-            body=RESISTED.index(self.body),
-            axis="xyz".index(self.axis),
-            offset=self.offset,
-            viscous=self.viscous * (1.0 - self.viscous_asymmetry),
-            viscous_back=self.viscous * (1.0 + self.viscous_asymmetry),
-            coulomb=self.coulomb,
-            coulomb_back=self.coulomb if self.coulomb_back is None else self.coulomb_back,
-            rise=rise,
-            stribeck=self.stribeck_speed or STRIBECK_SPEED,
-        )
-        if law.acts:
-            p.forces.append(law)
+        back = self.coulomb if self.coulomb_back is None else self.coulomb_back
+        viscous = [self.viscous * (1.0 + way * self.viscous_asymmetry) for way in (-1.0, 1.0)]
+        force = (self.offset, *viscous, self.coulomb, back, rise)
+        if any(force):
+            on = RESISTED.index(self.body), "xyz".index(self.axis)
+            p.forces.append((*on, *force, self.stribeck_speed or STRIBECK_SPEED))
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
@@ -283,14 +275,13 @@ MOST_TICKS = 12  # longest delay that is searched
 
 
 @register
-class DynamicsStepDelay(Effect):
+class DynamicsStepDelay(DynamicsEffect):
     """The pose of the numerical model is late by extra whole ticks."""
 
     kind: Literal["dynamics.step_delay"] = "dynamics.step_delay"
     ticks: Annotated[int, Field(ge=0, le=100)] = Field(
         description="Whole ticks of delay", json_schema_extra={"unit": "-"}
     )
-    link = "dynamics"
     equation = "pose_cmd is `ticks` rows late"
     reference = "transport within the loop"
     resembles = ("dynamics.integrator",)
@@ -311,7 +302,7 @@ class DynamicsStepDelay(Effect):
 
 
 @register
-class DynamicsIntegrator(Effect):
+class DynamicsIntegrator(DynamicsEffect):
     """The integrator of the numerical model adds energy: it acts as a delay of one step."""
 
     kind: Literal["dynamics.integrator"] = "dynamics.integrator"
@@ -319,7 +310,6 @@ class DynamicsIntegrator(Effect):
         default="explicit_euler",
         description="Integration scheme used instead of semi-implicit Euler",
     )
-    link = "dynamics"
     equation = "pose integrated with the old twist, then the twist"
     reference = "explicit Euler"
     resembles = ("dynamics.step_delay",)

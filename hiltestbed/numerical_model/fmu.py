@@ -19,7 +19,7 @@ from hiltestbed.frames import Array, twist_between
 from hiltestbed.numerical_model.model import NumericalModel
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 # [m], [rad], [m/s], [rad/s] largest difference between the FMU's start and that of the approach
 APART = 1e-6
@@ -28,7 +28,7 @@ APART = 1e-6
 class FmuModel(NumericalModel):
     """A :class:`NumericalModel` whose motion is the FMU's; its bodies are the nominal ones."""
 
-    def __init__(self, scenarios: Sequence[Scenario], files: Sequence[Path]) -> None:
+    def __init__(self, scenarios: Sequence[ScenarioLike], files: Sequence[Path]) -> None:
         """``files``: the FMU of each run. Raises MissingExtra, DeviceError; InputError if the FMU
         lacks a variable or does not start at ``approach``.
         """
@@ -41,7 +41,18 @@ class FmuModel(NumericalModel):
             part.open()
             weakref.finalize(self, part.close)
             self._parts.append(part)
-        self._refuse_other_start()
+        apart = np.empty(6)
+        for i, part in enumerate(self._parts):
+            values = part.outputs()
+            twist_between(self.pose[i], values[:7], 1.0, apart)
+            if np.abs(apart).max() > APART or np.abs(values[7:] - self.twist[i]).max() > APART:
+                raise InputError(
+                    f"numerical_model.file: {part.path} starts elsewhere than approach says (pose "
+                    f"{values[:7].round(6).tolist()}, twist "
+                    f"{values[7:].round(6).tolist()}; approach: {self.pose[i].round(6).tolist()}, "
+                    f"{self.twist[i].round(6).tolist()}); "
+                    "give both the same start"
+                )
 
     def advance(self, wrench: Array) -> None:
         for i, part in enumerate(self._parts):
@@ -59,18 +70,4 @@ class FmuModel(NumericalModel):
                 self.ended[i] = (
                     f"{part.path} has ended the simulation at t = {part.ended:.6f} s "
                     f"(terminateSimulation)"
-                )
-
-    def _refuse_other_start(self) -> None:
-        apart = np.empty(6)
-        for i, part in enumerate(self._parts):
-            values = part.outputs()
-            twist_between(self.pose[i], values[:7], 1.0, apart)
-            if np.abs(apart).max() > APART or np.abs(values[7:] - self.twist[i]).max() > APART:
-                raise InputError(
-                    f"numerical_model.file: {part.path} starts elsewhere than approach says (pose "
-                    f"{values[:7].round(6).tolist()}, twist "
-                    f"{values[7:].round(6).tolist()}; approach: {self.pose[i].round(6).tolist()}, "
-                    f"{self.twist[i].round(6).tolist()}); "
-                    "give both the same start"
                 )

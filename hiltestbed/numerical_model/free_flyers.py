@@ -45,9 +45,7 @@ class FreeFlyers:
             self._models.append((model, model.createData(), *views))
 
     def accelerate(self, q: Array, v: Array, tau: Array, tick: float) -> None:
-        """Add the velocity change of a tick under ``tau`` ``(n, 2, 6)``, force in the inertial and
-        torque in the body frame, to ``v``.
-        """
+        """Add to ``v`` the change of a tick under ``tau``, force inertial, torque in body axes."""
         as_seen(q, v, tau, *self.seen)
         self.solve()
         gain_speed(q, self.acceleration, tick, v)
@@ -75,9 +73,7 @@ def _model(mass: Array, inertia: Array) -> pin.Model:
 
 @njit(cache=True)
 def as_seen(q, v, tau, q_seen, v_seen, tau_seen):
-    """Poses, velocities and forces in body axes, in a frame that moves along with each body:
-    positions and linear velocities stay zero.
-    """
+    """Pinocchio's inputs, in body axes and a frame that moves along with each body."""
     for i in range(q.shape[0]):
         for b in range(2):
             for j in range(3, 7):

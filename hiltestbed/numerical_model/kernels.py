@@ -4,8 +4,7 @@ The states of one run are ``q`` (2, 7), poses of the centres of mass of chaser a
 inertial axes, and ``v`` (2, 6), linear velocity in inertial axes and angular velocity in body axes.
 :class:`hiltestbed.numerical_model.model.NumericalModel` accelerates the bodies with Pinocchio; a
 predictor needs a copy that can be reset, stepped under another wrench and propagated, for which
-:func:`step` and
-:func:`carry` use the same semi-implicit step.
+:func:`step` and :func:`carry` use the same semi-implicit step.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import (
+    add_moment,
     cross,
     pose_between,
     quat_exp,
@@ -25,14 +25,12 @@ from hiltestbed.frames import (
 
 CHASER, TARGET = 0, 1
 WORK = 9  # scratch rows of 7 that the kernels of one run need
-SCRATCH = 12  # scratch rows of 7 that :func:`step` needs
+SCRATCH = WORK + 3  # scratch rows of 7 that :func:`step` needs
 
 
 @njit(cache=True)
 def place_at_start(approach, port, q, v):
-    """``q`` (n, 2, 7) and ``v`` (n, 2, 6) at t = 0 from ``approach`` (n, 13) and ``port`` (n, 2,
-    7): target at rest, P at the origin.
-    """
+    """``q``, ``v`` at t = 0 from ``approach`` (n, 13): target at rest, P at the origin."""
     r, w, u, inverse = np.empty(3), np.empty(3), np.empty(3), np.empty(4)
     for i in range(q.shape[0]):
         start = approach[i]
@@ -76,9 +74,7 @@ def _port_state(q, v, port, pose, arm, velocity, rate):
 
 @njit(cache=True)
 def relative_motion(q, v, port, work, pose, twist):
-    """One run: ``pose`` (7,) of A in P and ``twist`` (6,) from ``q`` (2, 7), ``v`` (2, 6), ``port``
-    (2, 7); ``work`` (WORK, 7).
-    """
+    """``pose`` (7,) of A in P and ``twist`` (6,) of one run; ``work`` (WORK, 7)."""
     pose_A, pose_P = work[0], work[1]
     arm, u_A, w_A, u_P, w_P, d, s = work[2], work[3], work[4], work[5], work[6], work[7], work[8]
     _port_state(q[CHASER], v[CHASER], port[CHASER], pose_A, arm, u_A, w_A)
@@ -100,12 +96,8 @@ def load_bodies(q, port, wrench, work, tau):
     centre of mass in body axes, of ``wrench`` (6,), active on passive, in P at P's origin; ``work``
     (WORK, 7).
     """
-    attitude = work[0]
-    force = work[1]
-    torque = work[2]
-    arm = work[3]
-    point = work[4]
-    moment = work[5]
+    attitude, force, torque = work[0], work[1], work[2]
+    arm, point, moment = work[3], work[4], work[5]
     quat_mul(q[TARGET, 3:7], port[TARGET, 3:7], attitude)
     rotate(attitude, wrench[0:3], force)
     rotate(attitude, wrench[3:6], torque)
@@ -176,9 +168,7 @@ def _accelerate(mass, inertia, inverse, tau, h, v, work):
 
 @njit(cache=True)
 def newton_euler(mass, inertia, inverse, tau, h, v):
-    """Add the velocity change of a step under ``tau`` (n, 2, 6), force in inertial and torque in
-    body axes, to ``v`` (n, 2, 6).
-    """
+    """Add to ``v`` the change under ``tau`` (n, 2, 6), force inertial, torque in body axes."""
     work = np.empty((2, 3))
     for i in range(v.shape[0]):
         for b in range(2):
@@ -278,7 +268,8 @@ def mobility(q, port, position, mass, inverse, work, out):
 @njit(cache=True)
 def solve(matrix, x, factor):
     """``x`` (n,) becomes the solution for the right side that it is; ``matrix`` (n, n) positive
-    definite, its lower half; ``factor`` (n, n): work space, which may be ``matrix``.
+    definite, its lower half, or ``x`` is NaN; ``factor`` (n, n): becomes the lower Cholesky
+    factor, may be ``matrix``.
     """
     n = x.shape[0]
     for i in range(n):
@@ -286,7 +277,7 @@ def solve(matrix, x, factor):
             s = matrix[i, j]
             for k in range(j):
                 s -= factor[i, k] * factor[j, k]
-            factor[i, j] = s**0.5 if i == j else s / factor[j, j]
+            factor[i, j] = s / factor[j, j] if i != j else s**0.5 if s > 0.0 else np.nan
         s = x[i]
         for k in range(i):
             s -= factor[i, k] * x[k]
@@ -300,23 +291,15 @@ def solve(matrix, x, factor):
 
 @njit(cache=True)
 def wrench_at_A(wrench, position, out):
-    """``out``: a wrench given at P's origin, referred to A's origin; ``position`` (3,) of A in P.
-    ``out`` may be ``wrench``.
-    """
-    fx, fy, fz = wrench[0], wrench[1], wrench[2]
-    x, y, z = position[0], position[1], position[2]
-    out[3] = wrench[3] - (y * fz - z * fy)
-    out[4] = wrench[4] - (z * fx - x * fz)
-    out[5] = wrench[5] - (x * fy - y * fx)
-    out[0], out[1], out[2] = fx, fy, fz
+    """``out``, may be ``wrench``: given at P's origin, referred to A's, at ``position`` in P."""
+    for j in range(6):
+        out[j] = wrench[j]
+    add_moment(-1.0, position, out)
 
 
 @njit(cache=True)
 def wrench_at_P(wrench, position, out):
     """The inverse of :func:`wrench_at_A`."""
-    fx, fy, fz = wrench[0], wrench[1], wrench[2]
-    x, y, z = position[0], position[1], position[2]
-    out[3] = wrench[3] + (y * fz - z * fy)
-    out[4] = wrench[4] + (z * fx - x * fz)
-    out[5] = wrench[5] + (x * fy - y * fx)
-    out[0], out[1], out[2] = fx, fy, fz
+    for j in range(6):
+        out[j] = wrench[j]
+    add_moment(1.0, position, out)

@@ -14,7 +14,7 @@ from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 
 @register
@@ -24,7 +24,7 @@ class TwoFreeFlyers(ModelKind):
     kind: Literal["free_flyers"] = "free_flyers"
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario]) -> NumericalModel:
+    def start(cls, scenarios: Sequence[ScenarioLike]) -> NumericalModel:
         from hiltestbed.numerical_model.model import NumericalModel
 
         return NumericalModel(scenarios)
@@ -44,7 +44,7 @@ class Fmu(ModelKind):
     ticks_late = 0.5
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario]) -> NumericalModel:
+    def start(cls, scenarios: Sequence[ScenarioLike]) -> NumericalModel:
         from hiltestbed.numerical_model.fmu import FmuModel
 
         files = [Path(cast("Fmu", s.numerical_model).file) for s in scenarios]

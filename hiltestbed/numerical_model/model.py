@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hiltestbed.compiled.bound import GIVEN, Call, bound
 from hiltestbed.compiled.jit import interpreted, njit
 from hiltestbed.errors import InputError
-from hiltestbed.frames import Array, cross, pose_step, rotate, rotate_back
+from hiltestbed.frames import Array, cross, pose_step, rotate, rotate_back, rotation_matrix
 from hiltestbed.numerical_model.bodies import (
     approach_states,
     inertia_matrix,
@@ -75,7 +75,7 @@ class NumericalModel:
         self._tau, self._before = np.zeros((n, 2, 6)), np.zeros((n, 2, 6))
         self._approach = approach_states(s.approach for s in scenarios)
         self._depart(
-            stack([DynamicsParameters.of(s.effects) for s in scenarios])
+            stack([DynamicsParameters().with_effects(s.effects) for s in scenarios])
             if departures is None
             else departures
         )
@@ -131,13 +131,12 @@ class NumericalModel:
         return q, v
 
     def centres(self) -> Array:
-        """``(n, 2, 7)`` poses at the overall centres of mass, with undeflected appendages; the same
-        array at every call.
-        """
+        """``(n, 2, 7)`` poses at the centres of mass, appendages undeflected; always one array."""
         if not self._placed.any():
             return self.q
         self._centres[:] = self.q
-        leave_rest(self._rest, self._centres)
+        arm = rotation_matrix(self.q[..., 3:]) @ self._rest[..., None]
+        self._centres[..., :3] -= arm[..., 0]
         return self._centres
 
     @cached_property
@@ -160,16 +159,8 @@ class NumericalModel:
         if self._resisted is not None:
             self._resisted[:] = wrench
             wrench = self._resisted
-            resist_between(
-                self._force,
-                self.q,
-                self.v,
-                self._port,
-                self._rigid,
-                self._inverse,
-                self.tick,
-                wrench,
-            )
+            body = self._port, self._rigid, self._inverse
+            resist_between(self._force, self.q, self.v, *body, self.tick, wrench)
         load_wrench(self.q, self._port, wrench, self._tau)
         if self._resisted is not None:
             resist_bodies(self._force, self.v, self._rigid, self.tick, self._tau)
@@ -220,9 +211,7 @@ def run_back(pose, twist, h, handed):
 
 @njit(cache=True)
 def hand_on(k, late, handed, pose, twist):
-    """Store pose (n, 7) and twist (n, 6) of tick ``k`` in ``handed`` (n, L, 13); replace them by
-    those of ``late`` (n,) ticks before.
-    """
+    """Replace pose (n, 7) and twist (n, 6) of tick ``k`` by those of ``late`` (n,) ticks before."""
     length = handed.shape[1]
     for i in range(pose.shape[0]):
         now, past = handed[i, k % length], handed[i, (k - late[i]) % length]
@@ -265,23 +254,8 @@ def rests(appendage: Array, whole: Array, inertia: Array) -> tuple[Array, Array]
 
 
 @njit(cache=True)
-def leave_rest(rest, q):
-    """Move the poses ``q`` (n, 2, 7) from the centres of mass without appendages, ``rest`` (n, 2,
-    3) in body axes, to the overall ones.
-    """
-    arm = np.empty(3)
-    for i in range(q.shape[0]):
-        for b in range(2):
-            rotate(q[i, b, 3:7], rest[i, b], arm)
-            for j in range(3):
-                q[i, b, j] -= arm[j]
-
-
-@njit(cache=True)
 def hang(appendage, placed, rest, q, v, swing):
-    """Initialise appendages away from the centre of mass at rest: ``swing`` (n, 2, S, 2, 3) is
-    their inertial position and velocity.
-    """
+    """Appendages away from the centre of mass begin at rest: inertial position and velocity."""
     arm, turn, u = np.empty(3), np.empty(3), np.empty(3)
     for i in range(q.shape[0]):
         for b in range(2):
@@ -335,31 +309,20 @@ def swing(hung, masses, q, v, h, swing, tau):
             for j in range(3):
                 acceleration[j] = tau[i, b, j] / rigid[i, b]
             for s in range(appendage.shape[2]):
-                a = appendage[i, b, s]
-                if a[RATIO] > 0.0:
-                    for j in range(3):
-                        m = swing[i, b, s]
-                        m[1, j] -= h * (
-                            a[STIFFNESS] * m[0, j] + a[DAMPING] * m[1, j] + acceleration[j]
-                        )
-                        m[0, j] += h * m[1, j]
+                a, m = appendage[i, b, s], swing[i, b, s]
+                for j in range(3 if a[RATIO] > 0.0 else 0):
+                    pull = a[STIFFNESS] * m[0, j] + a[DAMPING] * m[1, j]
+                    m[1, j] -= h * (pull + acceleration[j])
+                    m[0, j] += h * m[1, j]
 
 
 @njit(cache=True)
 def _swing_at(appendage, whole, rest, q, v, h, swing, tau):
-    """The appendages of a body that are away from its centre of mass: force and reaction act along
-    one line, through the mass.
-
-    The damper acts on the velocity of the mass relative to the body-fixed point at its position.
-    Linear momentum is conserved to the last bit, and so is the total angular momentum, except for
-    what the step of the body's rotation loses.
+    """As :func:`swing`, of a body with appendages away from its centre of mass: force and reaction
+    act along one line, which conserves linear and angular momentum. The damper acts on the velocity
+    relative to the body-fixed point at the mass.
     """
-    away = np.empty(3)
-    arm = np.empty(3)
-    turn = np.empty(3)
-    drift = np.empty(3)
-    push = np.empty(3)
-    torque = np.empty(3)
+    away, arm, turn, drift, push, torque = np.empty((6, 3))
     rotate(q[3:7], v[3:6], turn)
     for s in range(appendage.shape[0]):
         a, m = appendage[s], swing[s]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import astuple, dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from hiltestbed.effects.base import Effect
+from hiltestbed.effects.base import LinkParameters
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.resistance import RESISTANCE
 
@@ -18,39 +18,8 @@ RATIO, STIFFNESS, DAMPING, PLACE, APPENDAGE = 0, 1, 2, 3, 6
 Appendage = tuple[float, ...]  # those columns
 
 
-@dataclass(frozen=True)
-class Resistance:
-    """A force that resists motion, see :mod:`hiltestbed.numerical_model.resistance`, whose columns
-    its fields are in order [N, m/s].
-    """
-
-    body: int
-    axis: int
-    offset: float
-    viscous: float
-    viscous_back: float
-    coulomb: float
-    coulomb_back: float
-    rise: float
-    stribeck: float
-
-    @property
-    def acts(self) -> bool:
-        """Whether there is any force."""
-        return any(
-            (
-                self.offset,
-                self.viscous,
-                self.viscous_back,
-                self.coulomb,
-                self.coulomb_back,
-                self.rise,
-            )
-        )
-
-
 @dataclass
-class DynamicsParameters:
+class DynamicsParameters(LinkParameters):
     """Departures of one numerical model.
 
     Attributes:
@@ -58,26 +27,19 @@ class DynamicsParameters:
             axes [m].
         appendages: of chaser and of target, each (mass ratio, k/m_a [1/s^2], d/m_a [1/s], place in
             body axes [m]).
-        forces: that resist motion. late: delay of the pose in whole ticks. explicit: explicit
-            Euler, the pose with the old twist.
+        forces: that resist motion, each a row of :mod:`hiltestbed.numerical_model.resistance`.
+        late: delay of the pose in whole ticks. explicit: explicit Euler, the pose with the old
+            twist.
     """
 
+    link = "dynamics"
     mass: Array = field(default_factory=lambda: np.ones(2))
     inertia: Array = field(default_factory=lambda: np.ones(2))
     port: Array = field(default_factory=lambda: np.zeros((2, 3)))
     appendages: tuple[list[Appendage], list[Appendage]] = field(default_factory=lambda: ([], []))
-    forces: list[Resistance] = field(default_factory=list)
+    forces: list[tuple[float, ...]] = field(default_factory=list)
     late: int = 0
     explicit: bool = False
-
-    @classmethod
-    def of(cls, effects: Iterable[Effect]) -> DynamicsParameters:
-        """The departures caused by those of ``effects`` that act on the numerical model."""
-        p = cls()
-        for effect in effects:
-            if effect.link == "dynamics":
-                effect.apply(p)
-        return p
 
 
 @dataclass(frozen=True)
@@ -107,7 +69,7 @@ def stack(models: Sequence[DynamicsParameters]) -> Departures:
     forces = np.full((len(models), resisted, RESISTANCE), -1.0)  # unused rows act on no body
     for row, m in zip(forces, models, strict=True):
         for slot, law in zip(row, m.forces, strict=False):
-            slot[:] = astuple(law)
+            slot[:] = law
     return Departures(
         mass=np.array([m.mass for m in models]),
         inertia=np.array([m.inertia for m in models]),

@@ -7,9 +7,7 @@ The law, for the speed v along the axis, with s its sign::
 
 At rest, dry friction balances the other forces, up to its level. Over a tick, with the other forces
 held constant, the motion is integrated
-exactly: an exponential until the body stops, then rest or another exponential. A body of any mass
-is therefore held without creep or chatter, and neither viscous friction nor the instant of a stop
-depends on the step size; only the Stribeck factor is evaluated at the speed before the tick.
+exactly: an exponential until the body stops, then rest or another exponential.
 """
 
 from __future__ import annotations
@@ -19,15 +17,8 @@ import math
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.numerical_model.kernels import (
-    CHASER,
-    TARGET,
-    WORK,
-    mobility,
-    relative_motion,
-    wrench_at_A,
-    wrench_at_P,
-)
+from hiltestbed.numerical_model import kernels as nk
+from hiltestbed.numerical_model.kernels import mobility, relative_motion, wrench_at_A, wrench_at_P
 
 # columns, and their number
 BODY, AXIS, OFFSET, VISCOUS, VISCOUS_BACK, COULOMB, COULOMB_BACK, RISE, STRIBECK, RESISTANCE = (
@@ -35,7 +26,7 @@ BODY, AXIS, OFFSET, VISCOUS, VISCOUS_BACK, COULOMB, COULOMB_BACK, RISE, STRIBECK
 )
 # value of BODY, besides CHASER and TARGET: the motion of A relative to P, equal and opposite on
 # both bodies
-BETWEEN = 2
+BETWEEN = 1 + nk.TARGET
 
 
 @njit(cache=True)
@@ -84,7 +75,7 @@ def resist_between(laws, q, v, port, mass, inverse, h, wrench):
     Args:
         laws: (n, F, RESISTANCE). mass: (n, 2). inverse: (n, 2, 3, 3) of the inertia. h: tick [s].
     """
-    work = np.empty((WORK, 7))
+    work = np.empty((nk.WORK, 7))
     gains = np.empty((6, 6))
     pose = np.empty(7)
     twist = np.empty(6)
@@ -111,13 +102,11 @@ def resist_between(laws, q, v, port, mass, inverse, h, wrench):
 
 @njit(cache=True)
 def resist_bodies(laws, v, mass, h, tau):
-    """Add to the forces ``tau`` (n, 2, 6), in inertial axes, those that resist the motion of one
-    body along an inertial axis.
-    """
+    """Add to ``tau`` (n, 2, 6) the forces that resist one body's motion along an inertial axis."""
     for i in range(v.shape[0]):
         for f in range(laws.shape[1]):
             law = laws[i, f]
-            if law[BODY] != CHASER and law[BODY] != TARGET:
+            if law[BODY] != nk.CHASER and law[BODY] != nk.TARGET:
                 continue
             b, axis = int(law[BODY]), int(law[AXIS])
             gain = h / mass[i, b]

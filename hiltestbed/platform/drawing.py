@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.config.models import load
-from hiltestbed.contact.composition import ACTIVE, add_active, drawn
+from hiltestbed.contact.composition import ACTIVE, add_side, drawn
 from hiltestbed.frames import Array, pose_compose
 from hiltestbed.platform.facilities.composed import TOOL, facility_model, facility_spec
 from hiltestbed.platform.facilities.drives import Drives
@@ -76,7 +76,7 @@ class DrawnNineAxes:
         spec.attach(load("prs3/prs3"), prefix=UPPER, frame=spec.worldbody.add_frame())
         site = spec.site(MOUNT)
         made_of, plane = drawn(mechanism), np.array(site.pos)
-        add_active(spec, made_of, site.parent, plane, TOOL_HOME[:3])
+        add_side(spec, made_of.mechanism, ACTIVE, site.parent, plane, TOOL_HOME[:3])
         add_upper_passive(spec, mechanism, UPPER)
         self.model = spec.compile()
         self._lower = facility.kinematics(self.model, ACTIVE + "A")

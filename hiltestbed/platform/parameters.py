@@ -10,7 +10,7 @@ past, and exact for a command that is linear over each tick.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.config.piecewise import packed
-from hiltestbed.effects.base import Effect
+from hiltestbed.effects.base import LinkParameters
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ NUMBERS = 7
 
 
 @dataclass
-class PlatformParameters:
+class PlatformParameters(LinkParameters):
     """One platform at a tick of ``tick`` [s]; the default of each parameter has no effect.
 
     Attributes:
@@ -52,6 +52,7 @@ class PlatformParameters:
             without knots: the step itself.
     """
 
+    link = "platform"
     tick: float
     delay: float = 0.0
     speed: float = np.inf
@@ -65,13 +66,6 @@ class PlatformParameters:
     phase: float = 0.0
     begun: float = 1.0
     step: Array = field(default_factory=lambda: packed(()))
-
-    def with_effects(self, effects: Iterable[Effect]) -> PlatformParameters:
-        """This object, changed by the platform effects among ``effects``."""
-        for effect in effects:
-            if effect.link == "platform":
-                effect.apply(self)
-        return self
 
 
 class RigParameters(NamedTuple):

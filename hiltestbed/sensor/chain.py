@@ -41,17 +41,13 @@ def filters_of(sensors: Sequence[Sensor]) -> tuple[Array, Array]:
 
 
 def low_pass(time_constant: ArrayLike, step: float) -> Array:
-    """``(..., 2)`` weights per step [s] of the signal at its end, 1 - b, and at its start, b - a;
-    time constant [s], 0: none.
-    """
+    """``(..., 2)`` weights per step [s] of the signal, 1 - b, b - a; time constant [s], 0: none."""
     a, b = _decay(time_constant, step)
     return np.stack([1.0 - b, b - a], axis=-1)
 
 
 def high_pass(time_constant: ArrayLike, step: float) -> Array:
-    """``(..., 2)`` factors per step [s] of the output, a, and of the signal's change, b; time
-    constant [s], infinite: none.
-    """
+    """``(..., 2)`` factors per step [s], a and b; time constant [s], infinite: none."""
     return np.stack(_decay(time_constant, step), axis=-1)
 
 
@@ -79,9 +75,7 @@ FILTERED = 3  # numbers that :func:`filtered` remembers: low-passed value, its i
 
 @njit(cache=True)
 def filtered(u, low, high, memory):
-    """A signal ``u`` at the end of a step through a low-pass, with weights ``low``, and then a
-    high-pass, with factors ``high``; ``memory`` (FILTERED,) is changed in place.
-    """
+    """``u``, at the end of a step, through a low-pass and a high-pass; ``memory`` (FILTERED,)."""
     before = memory[0]
     memory[0] = lagged(before, u, memory[1], low)
     memory[1] = u
@@ -157,9 +151,7 @@ def filters(lag, leak):
 
 @njit(cache=True)
 def passes(i, e):
-    """Whether the reading of sensor ``i`` is the wrench, but for noise and quantisation: see
-    :func:`condition`.
-    """
+    """Whether sensor ``i`` changes nothing but adds noise and quantises, see :func:`condition`."""
     for j in range(6):
         for c in range(6):
             if e.calibration[i, j, c] != (1.0 if c == j else 0.0):

@@ -18,18 +18,26 @@ from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.frames import quat_exp, rotation_matrix
 from hiltestbed.plugins import register
+from hiltestbed.signals import AXES
 
 if TYPE_CHECKING:
     from hiltestbed.sensor.parameters import SensorParameters
 
 
-AXES = ("x", "y", "z")
+FORCES = AXES[:3]
+WrenchAxis = Literal["x", "y", "z", "rx", "ry", "rz"]
 DRIFTS = 3.0  # largest drift over a run that is searched, in peak forces
 NEAR = 3.0  # [Hz] to either side of a spectral line, within which a tone is fitted
 
 
+class SensorEffect(Effect):
+    """Base of the effects of the sensor."""
+
+    link = "sensor"
+
+
 @register
-class SensorBias(Effect):
+class SensorBias(SensorEffect):
     """A constant offset on the wrench."""
 
     kind: Literal["sensor.bias"] = "sensor.bias"
@@ -39,7 +47,6 @@ class SensorBias(Effect):
     torque: Vector3 = quantity(
         "N m", "Offset of the torque, x, y, z", default=(0.0, 0.0, 0.0), search=(-20.0, 20.0)
     )
-    link = "sensor"
     equation = "w += (force, torque)"
     reference = "tare error"
     resembles = ("sensor.drift",)
@@ -56,20 +63,19 @@ class SensorBias(Effect):
 
 
 @register
-class SensorDrift(Effect):
+class SensorDrift(SensorEffect):
     """One force axis drifts linearly from the start of the run."""
 
     kind: Literal["sensor.drift"] = "sensor.drift"
     rate: float = quantity("N/s", "Rate of the drift", search=(-20.0, 20.0))
     axis: Literal["x", "y", "z"] = Field(default="z", description="Force axis that drifts")
-    link = "sensor"
     equation = "f_axis += rate t"
     reference = "charge-amplifier leakage current"
     resembles = ("sensor.bias", "sensor.highpass")
     repeats = True
 
     def apply(self, p: SensorParameters) -> None:
-        p.drift[AXES.index(self.axis)] += self.rate
+        p.drift[FORCES.index(self.axis)] += self.rate
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
@@ -78,12 +84,12 @@ class SensorDrift(Effect):
             candidate(
                 cls, {"rate": [0.0]}, choices=3, bounds={"rate": (-fastest, fastest)}, axis=axis
             )
-            for axis in AXES
+            for axis in FORCES
         )
 
 
 @register
-class SensorHum(Effect):
+class SensorHum(SensorEffect):
     """A sinusoidal tone on the force reading, in contact and out of it."""
 
     kind: Literal["sensor.hum"] = "sensor.hum"
@@ -97,7 +103,6 @@ class SensorHum(Effect):
     axis: Literal["x", "y", "z", "all"] = Field(
         default="z", description="Force axis that shows the tone, or all three"
     )
-    link = "sensor"
     equation = "f_axis += amplitude sin(2 pi frequency t + phase)"
     reference = "mains pick-up or a structural tone"
     resembles = ("frame.mode",)
@@ -105,7 +110,7 @@ class SensorHum(Effect):
     leading = "amplitude"
 
     def apply(self, p: SensorParameters) -> None:
-        on = [float(self.axis in (axis, "all")) * self.amplitude for axis in AXES]
+        on = [float(self.axis in (axis, "all")) * self.amplitude for axis in FORCES]
         p.tone.append((on[0], on[1], on[2], self.frequency, self.phase))
 
     @classmethod
@@ -125,12 +130,8 @@ class SensorHum(Effect):
         return candidate(cls, start, choices=4, bounds=bounds, axis=axis)
 
 
-WRENCH_AXES = ("x", "y", "z", "rx", "ry", "rz")
-WrenchAxis = Literal["x", "y", "z", "rx", "ry", "rz"]
-
-
 @register
-class SensorGain(Effect):
+class SensorGain(SensorEffect):
     """The gain of one axis of the wrench is wrong."""
 
     kind: Literal["sensor.gain"] = "sensor.gain"
@@ -138,25 +139,24 @@ class SensorGain(Effect):
         "-", "True gain over nominal gain", gt=0.0, search=(0.3, 3.0), ratio=True
     )
     axis: WrenchAxis = Field(default="z", description="Axis of the wrench that is scaled")
-    link = "sensor"
     equation = "w_axis *= factor"
     reference = "calibration error"
     resembles = ("contact.stiffness",)
     repeats = True
 
     def apply(self, p: SensorParameters) -> None:
-        p.gain[WRENCH_AXES.index(self.axis)] *= self.factor
+        p.gain[AXES.index(self.axis)] *= self.factor
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         return (
             candidate(cls, {"factor": [0.9, 1.1]}, choices=2, linear="factor", axis=axis)
-            for axis in WRENCH_AXES
+            for axis in AXES
         )
 
 
 @register
-class SensorCrosstalk(Effect):
+class SensorCrosstalk(SensorEffect):
     """A fraction of one axis of the wrench appears on another axis."""
 
     kind: Literal["sensor.crosstalk"] = "sensor.crosstalk"
@@ -173,30 +173,28 @@ class SensorCrosstalk(Effect):
     axis: WrenchAxis = Field(
         default="x", description="Axis of the wrench on which the crosstalk appears"
     )
-    link = "sensor"
     equation = "w_axis += ratio w_source, after the gains"
     reference = "calibration-matrix error"
     resembles = ("contact.misalignment", "contact.surface_friction")
     repeats = True
 
     def apply(self, p: SensorParameters) -> None:
-        p.cross[WRENCH_AXES.index(self.axis), WRENCH_AXES.index(self.source)] += self.ratio
+        p.cross[AXES.index(self.axis), AXES.index(self.source)] += self.ratio
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        pairs = [(a, b) for a in WRENCH_AXES for b in WRENCH_AXES if a != b]
+        pairs = [(a, b) for a in AXES for b in AXES if a != b]
         return (candidate(cls, {"ratio": [0.0]}, choices=6, source=a, axis=b) for a, b in pairs)
 
 
 @register
-class SensorDeadzone(Effect):
+class SensorDeadzone(SensorEffect):
     """A dead zone in the sensor: force axes read zero below a threshold."""
 
     kind: Literal["sensor.deadzone"] = "sensor.deadzone"
     width: float = quantity(
         "N", "Force below which an axis reads zero", gt=0.0, search=(0.2, 60.0), ratio=True
     )
-    link = "sensor"
     equation = "f_axis = 0 where |f_axis| < width"
     reference = "dead zone of an analogue-to-digital conversion"
     resembles = ("loop.deadzone",)
@@ -215,14 +213,13 @@ class SensorDeadzone(Effect):
 
 
 @register
-class SensorSaturation(Effect):
+class SensorSaturation(SensorEffect):
     """Force axes clip at the range of the sensor."""
 
     kind: Literal["sensor.saturation"] = "sensor.saturation"
     limit: float = quantity(
         "N", "Force at which an axis clips", gt=0.0, search=(5.0, 5000.0), ratio=True
     )
-    link = "sensor"
     equation = "f_axis = min(max(f_axis, -limit), limit)"
     reference = "range of the sensor or of its amplifier"
     resembles = ("contact.power_law",)
@@ -241,14 +238,13 @@ class SensorSaturation(Effect):
 
 
 @register
-class SensorDelay(Effect):
+class SensorDelay(SensorEffect):
     """An additional constant delay of the force reading."""
 
     kind: Literal["sensor.delay"] = "sensor.delay"
     delay: float = quantity(
         "s", "Delay on top of the nominal one", ge=0.0, le=1.0, search=(0.0, 0.03)
     )
-    link = "sensor"
     equation = "w_meas(t) = w(t - delay_nominal - delay)"
     reference = "pure transport delay"
     resembles = ("contact.damping", "log.skew", "sensor.lag")
@@ -269,14 +265,13 @@ class SensorDelay(Effect):
 
 
 @register
-class SensorJitter(Effect):
+class SensorJitter(SensorEffect):
     """Jitter: the delay of the force reading varies from sample to sample."""
 
     kind: Literal["sensor.jitter"] = "sensor.jitter"
     sigma: float = quantity(
         "s", "Standard deviation of the delay", ge=0.0, le=0.1, search=(0.0, 0.005)
     )
-    link = "sensor"
     equation = "w_meas(t_k) = w(t_k - delay - sigma n_k), n_k standard normal, total delay >= 0"
     reference = "sampling jitter"
     resembles = ("sensor.delay",)
@@ -297,14 +292,13 @@ SLOWEST = 50.0  # ticks: upper bound of a lag's time constant in the search on a
 
 
 @register
-class SensorLag(Effect):
+class SensorLag(SensorEffect):
     """The force reading passes an additional first-order low-pass."""
 
     kind: Literal["sensor.lag"] = "sensor.lag"
     time_constant: float = quantity(
         "s", "Time constant of the low-pass", gt=0.0, search=(1e-4, 0.05), ratio=True
     )
-    link = "sensor"
     equation = "T y' = u - y, the wrench linear between the physics instants"
     reference = "first-order low-pass, 1/(1 + s T)"
     resembles = ("sensor.delay",)
@@ -326,7 +320,7 @@ class SensorLag(Effect):
 
 
 @register
-class SensorHighpass(Effect):
+class SensorHighpass(SensorEffect):
     """Charge leakage, a high-pass: the reading of a steady force decays, and an undershoot follows
     the contact.
     """
@@ -335,7 +329,6 @@ class SensorHighpass(Effect):
     time_constant: float = quantity(
         "s", "Time constant of the charge leakage", gt=0.0, search=(0.02, 100.0), ratio=True
     )
-    link = "sensor"
     equation = "T (y' - u') = -y, the wrench linear between the physics instants"
     reference = "charge amplifier, s T/(1 + s T)"
     resembles = ("contact.relaxation", "sensor.drift")
@@ -358,7 +351,7 @@ Reading = Annotated[Curve, Field(min_length=2)]
 
 
 @register
-class SensorMap(Effect):
+class SensorMap(SensorEffect):
     """The reading of one axis follows a non-linear calibration curve instead of the nominal
     straight line.
     """
@@ -372,14 +365,13 @@ class SensorMap(Effect):
     axis: WrenchAxis = Field(
         default="z", description="Axis of the wrench that the curve applies to"
     )
-    link = "sensor"
     equation = "w_axis = curve(w_axis), piecewise linear"
     reference = "calibration curve"
     resembles = ("sensor.gain", "sensor.saturation", "contact.power_law")
     repeats = True
 
     def apply(self, p: SensorParameters) -> None:
-        p.curve[WRENCH_AXES.index(self.axis)] = self.reading
+        p.curve[AXES.index(self.axis)] = self.reading
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
@@ -399,7 +391,7 @@ ALL = (*LATERAL, "angles_deg.2")
 
 
 @register
-class SensorRotation(Effect):
+class SensorRotation(SensorEffect):
     """The sensor's frame is rotated against its nominal attitude: force and torque are read along
     other axes.
     """
@@ -410,7 +402,6 @@ class SensorRotation(Effect):
         "Rotation vector of the sensor's true frame in the nominal frame, x, y, z",
         search=(-10.0, 10.0),
     )
-    link = "sensor"
     equation = "f = R^T f and tau = R^T tau, R = exp([angles]_x), before gain and crosstalk"
     reference = "mounting error"
     resembles = ("sensor.crosstalk", "contact.misalignment", "contact.surface_friction")

@@ -65,7 +65,12 @@ class ForceSensor:
             nominal = SensorParameters.believed(Settings.model_validate(dict(settings or {})))
             self._parameters = nominal.with_effects(_effect(dict(effect)) for effect in effects)
         except ValidationError as error:
-            raise InputError(_sentence(error)) from None
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"]))
+            raise InputError(
+                f"sensor: {where}: {first['msg']} (got {first['input']!r}); hiltestbed schema "
+                f"sensor lists the keys"
+            ) from None
         self.reset()
 
     @classmethod
@@ -154,12 +159,3 @@ def _effect(keys: dict[str, Any]) -> Effect:
             f"allowed: {', '.join(allowed)}"
         )
     return EFFECTS[kind].model_validate(keys)
-
-
-def _sentence(error: ValidationError) -> str:
-    first = error.errors()[0]
-    where = ".".join(map(str, first["loc"]))
-    return (
-        f"sensor: {where}: {first['msg']} (got {first['input']!r}); hiltestbed schema sensor lists "
-        f"the keys"
-    )

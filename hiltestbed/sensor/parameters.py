@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hiltestbed.config.piecewise import Pairs, packed
-from hiltestbed.effects.base import Effect
+from hiltestbed.effects.base import LinkParameters
 from hiltestbed.frames import Array
 from hiltestbed.sensor.chain import high_pass, low_pass
 
 if TYPE_CHECKING:
     from hiltestbed.sensor.settings import Sensor as SensorSettings
 
-AXES = ("x", "y", "z")
-WRENCH_AXES = ("x", "y", "z", "rx", "ry", "rz")
-
 
 @dataclass
-class SensorParameters:
+class SensorParameters(LinkParameters):
     """One sensor; an inactive element has a neutral value.
 
     Attributes:
@@ -37,6 +34,7 @@ class SensorParameters:
             standard deviation [N, N m].
     """
 
+    link = "sensor"
     delay: float = 0.0
     jitter: float = 0.0
     mounting: Array = field(default_factory=lambda: np.eye(6))
@@ -73,35 +71,9 @@ class SensorParameters:
         p.noise[:3], p.noise[3:] = settings.noise, settings.torque_noise
         return p
 
-    def copy(self) -> SensorParameters:
-        """An independent copy."""
-        return replace(
-            self,
-            mounting=self.mounting.copy(),
-            gain=self.gain.copy(),
-            cross=self.cross.copy(),
-            curve=list(self.curve),
-            lag=list(self.lag),
-            leak=list(self.leak),
-            offset=self.offset.copy(),
-            drift=self.drift.copy(),
-            tone=list(self.tone),
-            deadzone=self.deadzone.copy(),
-            limit=self.limit.copy(),
-        )
-
-    def with_effects(self, effects: Iterable[Effect]) -> SensorParameters:
-        """Apply those of ``effects`` that act on the sensor, in place; returns itself."""
-        for effect in effects:
-            if effect.link == "sensor":
-                effect.apply(self)
-        return self
-
 
 class Elements(NamedTuple):
-    """The elements after the delay of n sensors as arrays for the kernels, with the run as leading
-    axis.
-    """
+    """The elements after the delay of n sensors as arrays; the leading axis is the run."""
 
     calibration: Array  # (n, 6, 6)
     curve: Array  # (n, 6, 1 + 2K) packed

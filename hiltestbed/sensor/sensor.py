@@ -111,29 +111,17 @@ class Sensors:
 @njit(cache=True)
 def _read(k, h, sub, late, noise, e, memory, out):
     """One tick of all sensors: delay, then the elements ``e``; ``noise`` (n, BLOCK, 6)."""
-    row = k % BLOCK
-    _arrive(k, sub, late, e.lag, e.leak)
-    for i in range(sub.shape[0]):
-        condition(i, e, late.arrived[i], k * h, noise[i, row], memory[i], out[i])
-
-
-@njit(cache=True)
-def _arrive(k, sub, late, lag, leak):
-    """The wrench that arrives: that at t - delay, interpolated linearly between physics instants,
-    for every physics instant t of the tick if a filter needs them, else for the last; ``sub`` is
-    stored in the ring buffer.
-    """
-    ring, delay, jitter, shake, out = late
-    n, m = sub.shape[0], sub.shape[1]
-    length = ring.shape[1]
+    ring, delay, jitter, shake, arrived = late
+    (n, m, _), length, row = sub.shape, ring.shape[1], k % BLOCK
     for i in range(n):
         for s in range(m):
             for j in range(6):
                 ring[i, (k * m - m + 1 + s) % length, j] = sub[i, s, j]
         lateness = delay[i]
         if jitter[i] > 0.0:
-            lateness += jitter[i] * min(max(shake[i, k % BLOCK], -JITTER_CLIP), JITTER_CLIP)
-        for s in range(0 if filters(lag[i], leak[i]) else m - 1, m):
+            lateness += jitter[i] * min(max(shake[i, row], -JITTER_CLIP), JITTER_CLIP)
+        # the wrench at t - delay, at each instant of the tick if a filter needs it, else the last
+        for s in range(0 if filters(e.lag[i], e.leak[i]) else m - 1, m):
             at = k * m - max(lateness, 0.0) - (m - 1 - s)
             whole = round(at)
             if abs(at - whole) < WHOLE:
@@ -141,9 +129,10 @@ def _arrive(k, sub, late, lag, leak):
             first = math.floor(at)
             part = at - first
             for j in range(6):
-                out[i, s, j] = 0.0
+                arrived[i, s, j] = 0.0
                 if first >= 0:
-                    out[i, s, j] = ring[i, first % length, j]
+                    arrived[i, s, j] = ring[i, first % length, j]
                 if part > 0.0:
                     after = ring[i, (first + 1) % length, j] if first + 1 >= 0 else 0.0
-                    out[i, s, j] += part * (after - out[i, s, j])
+                    arrived[i, s, j] += part * (after - arrived[i, s, j])
+        condition(i, e, arrived[i], k * h, noise[i, row], memory[i], out[i])

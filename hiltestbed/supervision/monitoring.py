@@ -9,10 +9,10 @@ and damping.
 - *capture*: the axial force pulls, beyond five standard deviations, in ``CONFIRM`` successive
   readings, which a contact alone cannot do.
 - *wear*: k and c of a contact compared with those of earlier contacts, by Hotelling's T^2 with the
-  covariances that the identification
-  reports: an alarm if the chi-squared probability with two degrees of freedom is below
-  ``false_alarm_rate`` (D. C. Montgomery, Introduction to Statistical Quality Control, 7th ed. 2012,
-  chapter 11). The rate is correct if the reported standard deviations are.
+  covariances that the identification reports: an alarm if the chi-squared probability with two
+  degrees of freedom is below ``false_alarm_rate`` (D. C. Montgomery, Introduction to Statistical
+  Quality Control, 7th ed. 2012, chapter 11). The rate is correct if the reported standard
+  deviations are.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
+from hiltestbed.contact.active_ring import AXIAL
 from hiltestbed.frames import Array
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.identification.samples import ContactSamples, SampleParameters
 from hiltestbed.scenario.monitoring import ContactEstimate, Monitoring
 
-AXIAL = 2
 CONFIRM = 5  # successive readings
 SEAT_SIGMA = 5.0
 

@@ -2,9 +2,7 @@
 
 The monitored quantities are those of a rig's own electronics: the sliders and limbs of the
 platform, its tracking error, the sensor's load before any delay (its overload relay is analogue),
-and the energy that the rig has created so far, the integral of ``F . v_act - F_used . v_cmd``. A
-delay makes energy from the first millimetre of penetration on, long before the
-force is large: the energy limit stops a diverging loop before the hardware is damaged.
+and the energy that the rig has created so far, the integral of ``F . v_act - F_used . v_cmd``.
 """
 
 from __future__ import annotations
@@ -90,9 +88,7 @@ class Safety:
 
 @njit(cache=True)
 def _watch(rig, sliders, pose_W, pose, pose_before, wrench_sub, energy, state):
-    """``rig``: tick [s], limbs, and limits (n, 8). ``state``: ticks so far, the sliders' positions
-    and speeds then, and :attr:`Safety.quantities`.
-    """
+    """``rig``: tick [s], limbs, limits (n, 8); ``state``: ticks, sliders before, quantities."""
     h, limbs, limits = rig
     ticks, before, q = state
     passed = False

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from hiltestbed import plugins
-from hiltestbed.numerical_model.bodies import pair_momentum
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.signals import GROUPS
+from tests.physics.closed_forms import pair_momentum
 from tests.running import run
 
 pytest.importorskip("Basilisk", reason="needs pip install 'hiltestbed[basilisk]'")

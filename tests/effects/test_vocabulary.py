@@ -341,7 +341,7 @@ def test_a_hypothesis_may_leave_what_a_scenario_allows(
 
 OF_LINK: dict[str, Any] = {
     "contact": lambda effects: ContactParameters(1e5, 100.0, friction=0.1).with_effects(effects),
-    "dynamics": DynamicsParameters.of,
+    "dynamics": lambda effects: DynamicsParameters().with_effects(effects),
     "platform": lambda effects: PlatformParameters(5e-4).with_effects(effects),
     "sensor": lambda effects: SensorParameters().with_effects(effects),
 }

@@ -15,10 +15,11 @@ from scipy.spatial.transform import Rotation
 from hiltestbed import load_scenario
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.numerical_model.bodies import inertia_matrix, pair_momentum, rest_inertia
+from hiltestbed.numerical_model.bodies import inertia_matrix, rest_inertia
 from hiltestbed.numerical_model.kernels import CHASER, TARGET
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.scenario import Scenario, scenario_from
+from tests.physics.closed_forms import pair_momentum
 
 SCENARIO = "05-off-centre"
 PANEL: dict[str, Any] = {

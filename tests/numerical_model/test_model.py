@@ -8,10 +8,9 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from hiltestbed import load_scenario
-from hiltestbed.numerical_model.bodies import pair_momentum
 from hiltestbed.numerical_model.kernels import TARGET
 from hiltestbed.numerical_model.model import NumericalModel
-from tests.physics.closed_forms import newton_euler
+from tests.physics.closed_forms import newton_euler, pair_momentum
 
 SCENARIO = "05-off-centre"
 

@@ -9,7 +9,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from hiltestbed import Scenario, load_scenario
-from hiltestbed.numerical_model.bodies import pair_momentum
 from hiltestbed.numerical_model.kernels import CHASER, TARGET
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.numerical_model.resistance import (
@@ -20,6 +19,7 @@ from hiltestbed.numerical_model.resistance import (
     VISCOUS_BACK,
     resisting,
 )
+from tests.physics.closed_forms import pair_momentum
 
 HEAVY = {
     "spacecraft.target": {

@@ -10,6 +10,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
+from hiltestbed.frames import Array, rotation_matrix
 from hiltestbed.numerical_model.bodies import inertia_matrix
 from hiltestbed.scenario.spacecraft import Body
 
@@ -81,3 +82,19 @@ def newton_euler(
         rate[7:10] = sign * force / body.mass
         rate[10:] = np.linalg.solve(inertia, moment - np.cross(w, inertia @ w))
     return out.ravel()
+
+
+def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
+    """Linear [kg m/s] and angular [N m s] momentum of both bodies together, about the inertial
+    origin.
+
+    Args:
+        mass: ``(..., 2)``. inertia: ``(..., 2, 3, 3)``. q: ``(..., 2, 7)``. v: ``(..., 2, 6)``.
+
+    Returns:
+        ``(..., 6)``.
+    """
+    linear = mass[..., None] * v[..., :3]
+    spin = np.einsum("...ij,...j->...i", rotation_matrix(q[..., 3:]) @ inertia, v[..., 3:])
+    angular = np.cross(q[..., :3], linear) + spin
+    return np.concatenate([linear.sum(axis=-2), angular.sum(axis=-2)], axis=-1)

@@ -15,7 +15,7 @@ from hiltestbed.contact.parameters import mechanism_parameters
 from hiltestbed.contact.settings import Mechanism
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects import Effect
-from hiltestbed.effects.log import log_parameters
+from hiltestbed.effects.log import LogParameters
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.numerical_model.bodies import approach_states
 from hiltestbed.platform.build import lockstep_key, runs_of
@@ -141,7 +141,7 @@ def lane(s: Scenario, run: int, effects: Sequence[Effect] | None = None) -> Lane
         run,
         laws(s, effects),
         SensorParameters.believed(s.sensor).with_effects(effects),
-        log_parameters(effects),
+        LogParameters().with_effects(effects),
     )
 
 

@@ -45,7 +45,11 @@ def error(s: Scenario) -> float:
         group: recorded[group] for name in needed for group in (name, name.replace("pose", "twist"))
     }
     found = replay_compensation(
-        [s], [InputParameters.of(s.effects)], records, recorded["wrench_meas"], recorded.lanes
+        [s],
+        [InputParameters().with_effects(s.effects)],
+        records,
+        recorded["wrench_meas"],
+        recorded.lanes,
     )
     peak = np.abs(recorded["wrench_comp"]).max()
     assert peak > 30.0

@@ -19,7 +19,10 @@ DYNAMICS = [kind for kind, cls in EFFECTS.items() if cls.link == "dynamics"]
 
 def replayed(recorded: Recorded, effects: bool = True) -> np.ndarray:
     numbers = stack(
-        [DynamicsParameters.of(s.effects if effects else ()) for s in recorded.scenarios]
+        [
+            DynamicsParameters().with_effects(s.effects if effects else ())
+            for s in recorded.scenarios
+        ]
     )
     scenarios = recorded.scenarios
     start = approach_states(s.approach for s in scenarios)

@@ -7,8 +7,7 @@ The first two are ``F = F_meas + k_v x + b_v v`` while pz > 0.
 D. Choukroun, "Analytical and experimental stability investigation of a hardware-in-the-loop
 satellite docking simulator", Proc. IMechE G 229, 2015; arXiv 1309.3512): a virtual force is
 superposed on the measured one and tuned until the contact behaves as desired. To first order a
-delay acts as a damping -k tau, which ``b_v = k tau`` cancels. The simulated contact is then partly
-that of the tuning, not of the hardware.
+delay acts as a damping -k tau, which ``b_v = k tau`` cancels.
 
 :class:`CorDesigned` is a damper that is designed for a desired coefficient of restitution (e) of
 the bounce (S. Abiko, Y. Satake, X. Jiang, T. Tsujita, M. Uchiyama, "Delay time compensation based
@@ -17,15 +16,13 @@ after K. Osaki, A. Konno, M. Uchiyama, "Delay time compensation for a hybrid sim
 Robotics 24, 2010: during the delay the motion is uniform, then the contact acts late; the
 compensation is found by iteration on that model). Here the contact with the design stiffness,
 damping and reduced mass is simulated with the delay, and the damper is found that gives the desired
-e, by default the e of the contact without delay. The design covers one mode and one contact,
-without friction, lever arms or a second contact.
+e, by default the e of the contact without delay.
 
 :class:`PassivityControl` is the time-domain observer and controller (B. Hannaford, J.-H. Ryu,
 "Time-domain passivity control of haptic interfaces", IEEE T-RA 18, 2002; for contact on such rigs
 M. De Stefano, J. Artigas, C. Secchi et al., EPOS and OOS-SIM, T-RO 2020): ``E_k = sum of h F_used .
 v``, the energy that the simulated contact has taken from the relative motion, must not be negative;
-when it is, ``alpha = -E/(h v^2)`` makes it zero. This is a safety net: it acts only once there is
-excess energy, and any restitution up to 1 passes, correct or not.
+when it is, ``alpha = -E/(h v^2)`` makes it zero.
 
 :class:`NormalisedPassivity` acts before that (C. Insam, L. D. H. Peiris, D. J. Rixen,
 "Normalized passivity control for hardware-in- the-loop with contact", Int. J. Dynamics and Control
@@ -119,9 +116,7 @@ class CorDesigned(BlockMethod):
         return KernelBlock(add_virtual, STATE, np.zeros(len(own)), damping)
 
     def designed(self, mass: float, delay: float) -> float:
-        """The damper [N s/m] that gives the design contact of a reduced ``mass`` [kg] the desired e
-        despite a ``delay`` of the force [s].
-        """
+        """The damper [N s/m] for the desired e at a reduced ``mass`` [kg] and ``delay`` [s]."""
         w = math.sqrt(self.stiffness / mass)
         z = self.damping / (2.0 * math.sqrt(self.stiffness * mass))
         turn = w * delay
@@ -138,9 +133,7 @@ class CorDesigned(BlockMethod):
 
 @njit(cache=True)
 def bounce(z, turn, extra):
-    """e of ``x'' = -F(t - tau) - 2 extra x'`` (the last while x > 0) in units of 1/w; F = x + 2 z
-    x' while x > 0, never negative.
-    """
+    """e of ``x'' = -F(t - tau) - 2 extra x'`` in units of 1/w, F = x + 2 z x' >= 0 while x > 0."""
     dt = 1.0 / STEPS
     late = int(round(turn * STEPS))
     forces = np.zeros(late + 1)

@@ -8,8 +8,7 @@ ahead:
 
 (T. Horiuchi, M. Inoue, T. Konno, Y. Namita, "Real-time hybrid experimental system with actuator
 delay compensation and its application to a piping system with energy absorber", Earthquake Eng.
-Struct. Dyn. 28, 1999, where it extrapolates the displacement). It needs a force that is smooth over
-p delays, which the onset of a contact is not.
+Struct. Dyn. 28, 1999, where it extrapolates the displacement).
 
 The Kalman predictor takes the force for a motion of constant second derivative that white noise of
 density q [N^2/s^5] drives, measured with white noise of density r [N^2 s]. Of that model the Kalman
@@ -23,8 +22,7 @@ Riccati equation, and
 
 of the estimate at the stamp of the reading. Only q/r counts: as long as (q/r)^(1/6) is far below
 the rate, the poles of the filter lie on a Butterworth circle of this radius, which ``bandwidth``
-sets. A high bandwidth follows the edge of a contact and lets noise through, a low one smooths both;
-the leads of first and second order fix that trade by their pole T2.
+sets.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ from pydantic import Field
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.interfaces import ForceBlock, ForcePath, KernelBlock
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.settings import BlockMethod, Input
+from hiltestbed.compensation.settings import BlockMethod
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import Positive
 from hiltestbed.frames import Array
@@ -56,7 +54,6 @@ class Polynomial(BlockMethod):
     order: Annotated[int, Field(ge=1, le=5)] = Field(
         default=3, description="Order of the polynomial"
     )
-    reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
     removes_delay: ClassVar[bool] = True
 
     @classmethod
@@ -76,7 +73,6 @@ class PolynomialBlock:
             dtype=float,
         )
         self._history = History(6, ticks * highest)
-        self._late = np.zeros((n, 6))
         self.output = np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
@@ -84,9 +80,7 @@ class PolynomialBlock:
         self._history.remember(measurement.wrench)
         self.output[:] = 0.0
         for i in range(self._weights.shape[1]):
-            self.output += self._weights[:, i, None] * self._history.before(
-                i * self._ticks, self._late
-            )
+            self.output += self._weights[:, i, None] * self._history.before(i * self._ticks)
         return self.output
 
 
@@ -100,7 +94,6 @@ class Kalman(BlockMethod):
     bandwidth: Positive = Field(
         default=150.0, description="Radius of the filter's poles over 2 pi [Hz]"
     )
-    reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
     removes_delay: ClassVar[bool] = True
 
     @classmethod

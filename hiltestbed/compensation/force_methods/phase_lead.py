@@ -29,7 +29,7 @@ from pydantic import Field
 
 from hiltestbed.compensation.interfaces import ForceBlock, ForcePath, KernelBlock
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.settings import BlockMethod, Input
+from hiltestbed.compensation.settings import BlockMethod
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative, Positive
@@ -60,7 +60,6 @@ class PhaseLead(WithLead):
     """First-order phase lead of the measured wrench, (T1 s + 1)/(T2 s + 1)."""
 
     kind: Literal["phase_lead"] = "phase_lead"
-    reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
 
     @classmethod
     def block(cls, own: Sequence[Self], path: ForcePath) -> ForceBlock:
@@ -117,7 +116,6 @@ class SecondOrderLead(BlockMethod):
 
     kind: Literal["second_order_lead"] = "second_order_lead"
     lag: Positive = Field(default=LAG, description="Time constant T2 of the lead's double pole [s]")
-    reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
     removes_delay: ClassVar[bool] = True
 
     @classmethod

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import Field
 
 from hiltestbed.compensation.interfaces import ForceBlock, ForcePath, KernelBlock
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.settings import BlockMethod, Input
+from hiltestbed.compensation.settings import BlockMethod
 from hiltestbed.config.validation import NotNegative
 from hiltestbed.frames import Array
 from hiltestbed.plugins import register
@@ -21,7 +21,6 @@ class NoForceCompensation(BlockMethod):
     """No compensation: the measured wrench drives the numerical model unchanged."""
 
     kind: Literal["none"] = "none"
-    reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
 
     @classmethod
     def block(cls, own: Sequence[Self], path: ForcePath) -> ForceBlock:
@@ -48,7 +47,6 @@ class DeadZone(BlockMethod):
 
     kind: Literal["dead_zone"] = "dead_zone"
     width: NotNegative = Field(description="Force below which an axis is taken as zero [N]")
-    reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
 
     @classmethod
     def block(cls, own: Sequence[Self], path: ForcePath) -> ForceBlock:

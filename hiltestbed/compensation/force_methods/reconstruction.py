@@ -8,15 +8,11 @@ is the contact (O. J. M. Smith, "Closer control of loops with dead time", Chem. 
 1957). Until there is an estimate, the force passes the first-order phase lead; with ``lead_rest:
 true`` so does the part of it that the Smith predictor's model does not explain.
 
-The impulse of an early wrong estimate is cancelled one delay later, but at another speed, so that
-its energy is not.
-
 After capture all six axes push and pull at once, so there is no single line of action along which
 to predict. On each axis of the latch's reference point ``F = F_meas + k (x - x') + c (v - v')``
 with k and c as identified so far, x and v the pose and twist that the rig reached, now and (primed)
 when the measured force acted; torques are about the reference point. An axis without an estimate
-passes the first-order phase lead. A linear, identified contact is reconstructed exactly, and the
-instant of touch is not needed.
+passes the first-order phase lead.
 """
 
 from __future__ import annotations
@@ -34,8 +30,8 @@ from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input
 from hiltestbed.compiled.jit import copied, njit
 from hiltestbed.config.validation import NotNegative, Positive
-from hiltestbed.frames import Array
-from hiltestbed.identification.held import UNTURNED, add_moment, referred
+from hiltestbed.frames import Array, add_moment
+from hiltestbed.identification.held import UNTURNED, referred
 from hiltestbed.plugins import register
 
 
@@ -91,33 +87,19 @@ class ReconstructionBlock:
     def __init__(
         self, lead: PhaseLeadBlock, ticks: Array, captured: CapturedContact | None
     ) -> None:
-        """``lead``: where there is no estimate. ticks: (n,) delay [ticks]. captured: of a mechanism
-        that captures.
-        """
+        """``lead``: without an estimate; ticks: (n,) delay; captured: if it captures."""
         n = len(ticks)
         self._lead, self._ticks, self._captured = lead, ticks, captured
-        self._states = History(12, ticks)
-        self._state, self._late = np.zeros((n, 12)), np.zeros((n, 12))
-        self._at_A = np.zeros((n, 3))
-        self.output = np.zeros((n, 6))
+        self._states, self._state = History(12, ticks), np.zeros((n, 12))
+        self._at_A, self.output = np.zeros((n, 3)), np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` the reconstructed wrench; an axis without an estimate passes the lead. After
-        capture M acts about the held pose.
-        """
-        led = self._lead.compensate(measurement)
-        observe(measurement.pose, measurement.twist, self._at_A, UNTURNED, self._state)
+        """``(n, 6)`` the reconstructed wrench; an axis without an estimate passes the lead."""
+        m, led = measurement, self._lead.compensate(measurement)
+        observe(m.pose, m.twist, self._at_A, UNTURNED, self._state)
         self._states.remember(self._state)
-        self._states.before(self._ticks, self._late)
-        _reconstruct(
-            measurement.wrench,
-            led,
-            self._state,
-            self._late,
-            measurement.stiffness,
-            measurement.damping,
-            self.output,
-        )
+        late = self._states.before(self._ticks)
+        _reconstruct(m.wrench, led, self._state, late, m.stiffness, m.damping, self.output)
         if self._captured is not None:
             self._captured.take_over(measurement, self.output)
         return self.output
@@ -127,34 +109,25 @@ class SmithPredictorBlock:
     """M with a given k and c along the insertion."""
 
     def __init__(self, spring: Array, ticks: Array, lead: PhaseLeadBlock | None) -> None:
-        """``spring``: (2, n) k [N/m] and c [N s/m]. ticks: (n,) delay [ticks]. lead: of what the
-        model does not explain.
-        """
+        """``spring``: (2, n) k and c; ticks: (n,) delay; lead: of what is not explained."""
         n, (self._stiffness, self._damping) = len(ticks), spring
         self._ticks, self._lead = ticks, lead
         self._model = History(6, ticks)
-        self._now, self._late = np.zeros((n, 6)), np.zeros((n, 6))
-        self._rest = Measurement(
-            self._late, self._late, self._late, self._late, self._late, np.zeros(n, dtype=bool)
-        )
-        self.output = np.zeros((n, 6))
+        self._now, self._rest, self.output = np.zeros((3, n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
         """``(n, 6)`` the model's force now, plus the measured less the model's one delay ago."""
         _spring(measurement.pose, measurement.twist, self._stiffness, self._damping, self._now)
         self._model.remember(self._now)
-        self._model.before(self._ticks, self._late)
-        np.subtract(measurement.wrench, self._late, out=self._late)
-        rest = self._late if self._lead is None else self._lead.compensate(self._rest)
+        np.subtract(measurement.wrench, self._model.before(self._ticks), out=self._rest)
+        rest = self._rest if self._lead is None else self._lead.lead_wrench(self._rest)
         np.add(self._now, rest, out=self.output)
         return self.output
 
 
 @njit(cache=True)
 def _reconstruct(wrench, led, now, late, stiffness, damping, out):
-    """Along the insertion the spring cannot pull and acts only beyond the nominal touch; the other
-    axes act while fz is positive.
-    """
+    """Along z the spring only pushes, beyond the touch; other axes act while fz is positive."""
     for i in range(wrench.shape[0]):
         pressing = wrench[i, 2] > 0.0
         for j in range(6):
@@ -191,26 +164,22 @@ class CapturedContact:
         n = len(delay)
         self._lead = PhaseLeadBlock(rate, [(d + LAG, LAG) for d in delay])
         self._ticks = delay * rate
-        self._states = History(12, self._ticks)
-        self._state, self._late = np.zeros((n, 12)), np.zeros((n, 12))
+        self._states, self._state = History(12, self._ticks), np.zeros((n, 12))
 
     def take_over(self, measurement: Measurement, wrench: Array) -> None:
         """Replace the rows of ``wrench`` ``(n, 6)`` of the captured runs; call at every tick."""
-        led = self._lead.compensate(measurement)
-        m = measurement
+        m, led = measurement, self._lead.compensate(measurement)
         observe(m.pose, m.twist, m.lever, UNTURNED, self._state)
         self._states.remember(self._state)
-        self._states.before(self._ticks, self._late)
+        late = self._states.before(self._ticks)
         _reconstruct_held(
-            m.captured, m.wrench, led, self._state, self._late, m.stiffness, m.damping, wrench
+            m.captured, m.wrench, led, self._state, late, m.stiffness, m.damping, wrench
         )
 
 
 @njit(cache=True)
 def observe(pose, twist, lever, reference, out):
-    """``out`` (n, 12): position, rotation vector from ``reference`` (4,) and twist of the point at
-    ``lever`` (n, 3) from A, for ``pose`` (n, 7) and ``twist`` (n, 6) of A.
-    """
+    """``out`` (n, 12): position, rotation vector and twist of the point at ``lever`` from A."""
     for i in range(pose.shape[0]):
         referred(pose[i], twist[i], lever[i], reference, out[i, 0:6], out[i, 6:12])
 

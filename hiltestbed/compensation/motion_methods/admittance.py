@@ -9,10 +9,7 @@ from
 
     k (x + delta) + c (v + (delta - delta_before)/h) = F_limit
 
-F is not the measured force, which is delayed. The numerical model does not include the yield: a
-drive that corrects the force for the platform's pose (resynchronised prediction, contact
-correction) still gets the force of the unlimited contact, any other the limited one. The platform
-does not yield until k is identified.
+F is not the measured force, which is delayed. The platform does not yield until k is identified.
 """
 
 from __future__ import annotations
@@ -28,10 +25,10 @@ from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, MotionMethod
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import Positive
+from hiltestbed.contact.active_ring import AXIAL
 from hiltestbed.frames import Array
 from hiltestbed.plugins import register
 
-AXIAL = 2
 AIM = 0.95  # of the limit: the margin covers the error of the identified k
 
 

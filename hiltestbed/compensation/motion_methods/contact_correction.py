@@ -4,8 +4,7 @@ v_act)`` while in contact.
 k and c are identified in the loop (T. Ren, C. Qi, F. Gao, X. Zhao, Q. Sun, "Compensation of
 velocity divergence caused by dynamic response for hardware-in-the-loop docking simulator",
 IEEE/ASME Trans. Mechatronics 2017; F. He et al., Chin. J. Mech. Eng. 35:149,
-2022). The platform keeps its lag; the numerical model gets the force that would act without the
-lag, provided that the contact is a spring and damper.
+2022).
 """
 
 from __future__ import annotations
@@ -18,8 +17,7 @@ import numpy as np
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, MotionMethod
 from hiltestbed.compiled.jit import njit
-from hiltestbed.frames import Array, rotate, twist_between
-from hiltestbed.identification.held import add_moment
+from hiltestbed.frames import Array, add_moment, rotate, twist_between
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.plugins import register
 

@@ -8,8 +8,7 @@ The inverse of a platform with the response 1/((1 + T s)(1 + 2 zeta s/w + s^2/w^
 
 (third-order platform and second-order position lead: C. Qi et al., J. Intell. Robot. Syst. 2016; in
 real-time hybrid simulation the feed-forward of B. M. Phillips, B. F. Spencer, J. Eng. Mech. 139,
-2013). It differentiates a computed pose, so that sensor noise enters only through the force that
-drives the numerical model.
+2013).
 
 The adaptive time series is fitted to the platform's response to recent commands:
 
@@ -18,8 +17,7 @@ The adaptive time series is fitted to the platform's response to recent commands
 
 (Y. Chae, K. Kazemibidokhti, J. M. Ricles, "Adaptive time series compensator for delay compensation
 of servo-hydraulic actuator systems for real-time hybrid simulation", Earthquake Eng. Struct. Dyn.
-42, 2013). The window is much longer than a bounce: in a single contact the coefficients come mainly
-from the motion before it. The fit is made along the insertion, with an exponential window, and used
+42, 2013). The fit is made along the insertion, with an exponential window, and used
 on all six axes; the coefficients are held within bounds, as the authors advise.
 """
 

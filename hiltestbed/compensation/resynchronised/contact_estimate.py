@@ -16,11 +16,9 @@ along the slip of the contact point, and viscous at lower slip speeds. mu is the
 tangential force along the slip on the normal force.
 
 k, c and x0 are the Bayesian least-squares estimate of the measured F on G.x and G.v *at the time
-the force acted*, with an intercept. Prior
-knowledge enters as a prior: an earlier contact's k, c and touch point or, without an earlier
-contact, that the touch point lies within
-the tick before the first force. One contact is enough: the estimate is available about four samples
-after the touch.
+the force acted*, with an intercept. Prior knowledge enters as a prior: an earlier contact's k, c
+and touch point or, without an earlier contact, that the touch point lies within the tick before the
+first force. One contact is enough: the estimate is available about four samples after the touch.
 """
 
 from __future__ import annotations
@@ -150,13 +148,10 @@ def learn(fit, law, count, sample, sigma):
     if law[KNOWN] == 0.0:  # that of y = k x + c v without an intercept, to weight the touch point
         det, whole = fit[XX] * fit[VV] - fit[XV] * fit[XV], fit[XX] * fit[VV]
         k = (fit[VV] * fit[XY] - fit[XV] * fit[VY]) / det if det > 1e-12 * whole else 0.0
-    if k > 0.0:
-        _solve(fit, law, k, max(variance, 1e-30))
-
-
-@njit(cache=True)
-def _solve(fit, law, k, variance):
-    """Solve for the posterior of (k, c, b) by Cramer's rule, with scaled columns."""
+    if k <= 0.0:
+        return
+    # the posterior of (k, c, b) by Cramer's rule, with scaled columns
+    variance = max(variance, 1e-30)
     weight_k = variance / fit[SD_K] ** 2 if fit[SD_K] > 0.0 else 0.0
     weight_c = variance / fit[SD_C] ** 2 if fit[SD_C] > 0.0 else 0.0
     sd_x = (

@@ -46,7 +46,7 @@ from hiltestbed.sensor.chain import FILTERED, filtered
 # times [ticks]. ONSET: the step of the physics at which the force sets in.
 STIFFNESS, DAMPING, DEEPENING, STOP, POINT, DELAY, RATE, LAG, KNOT, UNKNOWNS = range(10)
 ONSET, DIGITAL, SCATTER, CHI, COST, SPREAD, SOLUTION = range(UNKNOWNS, UNKNOWNS + 7)
-LINEAR = 4
+LINEAR = POINT
 GROWS = (DELAY, POINT, LAG, DEEPENING, STOP, RATE)  # unknowns beyond k and c
 CERTAIN = 3.84  # rise of chi-square at the ends of a 95 % interval of one parameter
 ENOUGH = 3.0  # standard deviations of a right model's chi-square: nothing is left to be explained
@@ -97,23 +97,8 @@ class ContactWindow(NamedTuple):
 
 
 @njit(cache=True)
-def onset(m, touch):
-    """The step of the physics that first is beyond a touch point [m], in the latest passage before
-    the force was felt.
-    """
-    step = m.felt * m.substeps
-    while step > 1 and m.s[step] <= touch:
-        step -= 1
-    while step > 1 and m.s[step - 1] > touch:
-        step -= 1
-    return step
-
-
-@njit(cache=True)
 def low_pass_of(lag, digital, weights):
-    """Weights (2,) of a low-pass with the time constant ``lag`` [ticks]: a digital one, y += (u -
-    y)/(1 + lag), or an analogue one, as in :func:`hiltestbed.sensor.chain.low_pass`.
-    """
+    """Weights (2,) of a low-pass of ``lag`` [ticks]: digital, y += (u - y)/(1 + lag), or not."""
     weights[0], weights[1] = 1.0, 0.0
     if digital > 0.0:
         weights[0] = 1.0 / (1.0 + lag)
@@ -124,9 +109,7 @@ def low_pass_of(lag, digital, weights):
 
 
 class Solution(NamedTuple):
-    """A solution, in registers: an array that is read while others are written is read again. felt,
-    substeps: as in the window. last: step but one.
-    """
+    """A solution, in registers; felt, substeps: as in the window; last: step but one."""
 
     stiffness: float
     damping: float
@@ -140,24 +123,6 @@ class Solution(NamedTuple):
     felt: int
     substeps: int
     last: int
-
-
-@njit(cache=True, inline="always")
-def _solution(m, p):
-    return Solution(
-        p[STIFFNESS],
-        p[DAMPING],
-        p[DEEPENING],
-        p[STOP],
-        p[POINT],
-        p[DELAY],
-        p[RATE],
-        p[KNOT],
-        p[ONSET],
-        m.felt,
-        m.substeps,
-        m.s.shape[0] - 2,
-    )
 
 
 @njit(cache=True, inline="always")
@@ -182,7 +147,9 @@ def _at(c, s, u, read):
 @njit(cache=True)
 def columns(m, p, used, rows):
     """The law's columns as the sensor shows them with the solution ``p``, into ``rows`` (r, 4)."""
-    c, s, u = _solution(m, p), m.s, m.u
+    s, u = m.s, m.u
+    law = p[STIFFNESS], p[DAMPING], p[DEEPENING], p[STOP], p[POINT], p[DELAY], p[RATE], p[KNOT]
+    c = Solution(*law, p[ONSET], m.felt, m.substeps, s.shape[0] - 2)
     if p[LAG] <= 0.0 and m.leak[0] >= 1.0:
         for r in range(m.y.shape[0]):
             x, v, deep, over = _at(c, s, u, float(m.first + r))
@@ -209,9 +176,7 @@ def columns(m, p, used, rows):
 
 @njit(cache=True)
 def misfit(m, p, used, rows):
-    """The best coefficients of the law for the other unknowns in ``p``, and CHI; returns -2 ln of
-    likelihood times prior.
-    """
+    """The law's best coefficients for the unknowns in ``p``, and CHI; -2 ln(likelihood prior)."""
     columns(m, p, used, rows)
     a, b = np.zeros((LINEAR, LINEAR)), np.zeros(LINEAR)
     total, last = 0.0, LINEAR if used[DEEPENING] or used[STOP] else DEEPENING
@@ -297,9 +262,7 @@ def prior_sd(m, c):
 
 @njit(cache=True)
 def _explained(a, b, x):
-    """``b.x``, where x >= 0 solves the normal equations ``a x = b``, by Cholesky; a column that
-    would be negative, or that the others make up, is left out.
-    """
+    """``b.x`` of x >= 0 with ``a x = b``, without columns that would be negative or dependent."""
     n = b.shape[0]
     taken = np.ones(n, dtype=np.bool_)
     l, z = np.zeros((n, n)), np.zeros(n)
@@ -355,40 +318,30 @@ def _bounded(m, p, deepest):
 
 
 @njit(cache=True)
-def _jacobian(m, p, used, rows, other, jacobian):
-    """Derivatives of the reading by the unknowns in use, into ``jacobian`` (n, UNKNOWNS)."""
-    step = int(p[ONSET])
-    travel = abs(m.s[step] - m.s[step - 1]) + 1e-12
-    near = np.empty(SOLUTION)
+def _normal(m, p, used, work, matrix, gradient):
+    """Normal equations without priors, in units of f sigma^2; Jacobian into ``work``."""
+    rows, other, jacobian = work
+    step, n, near = int(p[ONSET]), m.y.shape[0], np.empty(SOLUTION)
     columns(m, p, used, rows)
-    n = m.y.shape[0]
     for c in range(UNKNOWNS):
-        if not used[c]:
-            continue
-        if c < LINEAR:
+        if used[c] and c < LINEAR:
             copied(rows[:, c], jacobian[:, c])
-            continue
-        copied(p, near)
-        d = RESOLUTION
-        if c in (POINT, KNOT):
-            d *= travel
-        elif c == RATE:
-            d /= m.first + n - m.felt
-        near[c] += d
-        columns(m, near, used, other)
-        for i in range(n):
-            change = 0.0
-            for e in range(LINEAR):
-                if used[e]:
-                    change += p[e] * (other[i, e] - rows[i, e])
-            jacobian[i, c] = change / d
-
-
-@njit(cache=True)
-def _normal(m, p, used, rows, jacobian, matrix, gradient):
-    """Normal equations (UNKNOWNS, UNKNOWNS), without the priors, in units of f sigma^2."""
-    n = m.y.shape[0]
-    scale = 1.0 / (m.variance * max(1.0, p[CHI] / m.y.shape[0]))
+        elif used[c]:
+            copied(p, near)
+            d = RESOLUTION
+            if c in (POINT, KNOT):
+                d *= abs(m.s[step] - m.s[step - 1]) + 1e-12
+            elif c == RATE:
+                d /= m.first + n - m.felt
+            near[c] += d
+            columns(m, near, used, other)
+            for i in range(n):
+                change = 0.0
+                for e in range(LINEAR):
+                    if used[e]:
+                        change += p[e] * (other[i, e] - rows[i, e])
+                jacobian[i, c] = change / d
+    scale = 1.0 / (m.variance * max(1.0, p[CHI] / n))
     matrix[:], gradient[:] = 0.0, 0.0
     for i in range(n):
         rest, weight = m.y[i], scale * m.weight[i]
@@ -401,9 +354,7 @@ def _normal(m, p, used, rows, jacobian, matrix, gradient):
                 for d in range(c + 1):
                     if used[d]:
                         matrix[c, d] += weight * jacobian[i, c] * jacobian[i, d]
-    for c in range(UNKNOWNS):
-        for d in range(c):
-            matrix[d, c] = matrix[c, d]
+                        matrix[d, c] = matrix[c, d]
 
 
 @njit(cache=True)
@@ -418,9 +369,7 @@ def _add_priors(m, p, used, matrix, gradient):
 
 @njit(cache=True)
 def _fix(p, used, matrix, right):
-    """Take out of normal equations what is not in use, or stands at 0, below which it means
-    nothing.
-    """
+    """Take out of normal equations what is not in use, or stands at its bound of 0."""
     for c in range(UNKNOWNS):
         if not used[c] or matrix[c, c] <= 0.0 or (c < LINEAR and p[c] <= 0.0):
             matrix[c, :] = 0.0
@@ -430,26 +379,9 @@ def _fix(p, used, matrix, right):
 
 
 @njit(cache=True)
-def _cholesky(a):
-    """Lower factor in place; False if not positive definite."""
-    for c in range(a.shape[0]):
-        for d in range(c + 1):
-            rest = a[c, d]
-            for e in range(d):
-                rest -= a[c, e] * a[d, e]
-            if c == d:
-                if rest <= 0.0:
-                    return False
-                a[c, c] = math.sqrt(rest)
-            else:
-                a[c, d] = rest / a[d, d]
-    return True
-
-
-@njit(cache=True)
 def _descend(m, p, used, work):
     """Levenberg-Marquardt from ``p``; returns -2 ln of likelihood times prior."""
-    rows, other, jacobian = work
+    rows = work[0]
     matrix, gradient = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     a, d = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     trial = np.empty(SOLUTION)
@@ -462,8 +394,7 @@ def _descend(m, p, used, work):
     fresh = True
     for _ in range(STEPS):
         if fresh:
-            _jacobian(m, p, used, rows, other, jacobian)
-            _normal(m, p, used, rows, jacobian, matrix, gradient)
+            _normal(m, p, used, work, matrix, gradient)
             _add_priors(m, p, used, matrix, gradient)
         copied(matrix, a)
         copied(gradient, d)
@@ -500,9 +431,7 @@ def _descend(m, p, used, work):
 
 @njit(cache=True)
 def _settle(m, p, used, work):
-    """As :func:`_descend`, and to the step of the physics at which the force sets in, if the touch
-    point is searched.
-    """
+    """As :func:`_descend`, and to the best ONSET, if the touch point is searched."""
     best = _descend(m, p, used, work)
     if not used[POINT]:
         return best
@@ -526,10 +455,8 @@ def _settle(m, p, used, work):
 @njit(cache=True)
 def _evidence(m, p, used, found, work):
     """-2 ln Z, into COST."""
-    rows, other, jacobian = work
-    matrix, gradient = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
-    _jacobian(m, p, used, rows, other, jacobian)
-    _normal(m, p, used, rows, jacobian, matrix, gradient)
+    rows, matrix, gradient = work[0], np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    _normal(m, p, used, work, matrix, gradient)
     peak = np.max(np.abs(m.y))
     scale = np.zeros(UNKNOWNS)
     for c in range(UNKNOWNS):
@@ -550,26 +477,43 @@ def _evidence(m, p, used, found, work):
             matrix[c, d] *= scale[c] * scale[d]
         matrix[c, c] += 1.0
     p[COST] = found + (math.log(2.0 * m.y.shape[0]) if p[SCATTER] > 0.0 else 0.0)
-    if _cholesky(matrix):
-        for c in range(UNKNOWNS):
-            p[COST] += 2.0 * math.log(matrix[c, c])
-    else:
+    solve(matrix, gradient, matrix)  # NaN unless it is positive definite
+    for c in range(UNKNOWNS):
+        p[COST] += 2.0 * math.log(matrix[c, c])
+    if math.isnan(p[COST]):
         p[COST] = np.inf
 
 
 @njit(cache=True)
 def _grown(m, parent, used, new, work, out):
-    """The model of ``used`` unknowns, of which ``new`` is one more than in ``parent``, into
-    ``out``.
-    """
+    """The model that has the unknown ``new`` more than ``parent``, into ``out``."""
     out[COST] = np.inf
-    start = np.empty(SOLUTION)
+    start, trial = np.empty(SOLUTION), np.empty(SOLUTION)
+    latest = m.felt - (parent[ONSET] - 1.0) / m.substeps
+    deepest = _deepest(m, parent) if new == STOP else 0.0
+    ways = 2 if used[DELAY] else 1
+    count = 4 * LATE + 1 if new == DELAY else LAGS * ways if new == LAG else KNOTS
     for digital in range(2 if new == LAG else 1):
         _scatter(m, parent, used, work[0])
         copied(parent, start)
         if new == LAG:
             start[DIGITAL] = digital
-        _begin(m, start, used, new, work[0])
+        # the best of some values of the new unknown
+        begin, best = start.copy(), np.inf
+        for q in range(count if new in (DELAY, LAG, STOP) else 0):
+            copied(begin, trial)
+            if new == DELAY:
+                trial[DELAY] = latest - 0.25 * q
+            elif new == LAG:
+                trial[LAG] = 0.25 * 2.0 ** (q // ways)
+                if q % ways == 1:
+                    trial[DELAY] -= trial[LAG] - parent[LAG]
+            else:
+                trial[KNOT] = (SHALLOW + (DEEP - SHALLOW) * q / (KNOTS - 1)) * deepest
+            found = misfit(m, trial, used, work[0]) if trial[DELAY] >= 1.0 else np.inf
+            if found < best:
+                best = found
+                copied(trial, start)
         _settled(m, start, used, work)
         if start[COST] < out[COST]:
             copied(start, out)
@@ -586,45 +530,8 @@ def _settled(m, p, used, work):
 
 
 @njit(cache=True)
-def _begin(m, p, used, new, rows):
-    """The best of some values of the unknown ``new``, into ``p``."""
-    trial, parent, best = np.empty(SOLUTION), p.copy(), np.inf
-    if new == DELAY:
-        latest = m.felt - (parent[ONSET] - 1.0) / m.substeps
-        for q in range(4 * LATE + 1):
-            copied(parent, trial)
-            trial[DELAY] = latest - 0.25 * q
-            best = _better(m, trial, used, rows, best, p)
-    elif new == LAG:
-        for q in range(LAGS):
-            for e in range(2 if used[DELAY] else 1):
-                copied(parent, trial)
-                trial[LAG] = 0.25 * 2.0**q
-                if e == 1:
-                    trial[DELAY] -= trial[LAG] - parent[LAG]
-                best = _better(m, trial, used, rows, best, p)
-    elif new == STOP:
-        deepest = _deepest(m, parent)
-        for q in range(KNOTS):
-            copied(parent, trial)
-            trial[KNOT] = (SHALLOW + (DEEP - SHALLOW) * q / (KNOTS - 1)) * deepest
-            best = _better(m, trial, used, rows, best, p)
-
-
-@njit(cache=True)
-def _better(m, trial, used, rows, best, p):
-    """The smaller of ``best`` and the misfit of ``trial``, which then is copied into ``p``."""
-    found = misfit(m, trial, used, rows) if trial[DELAY] >= 1.0 else np.inf
-    if found < best:
-        copied(trial, p)
-    return min(found, best)
-
-
-@njit(cache=True)
 def _centre(m, used, rows, best):
-    """Move the delay to the middle of its 95 % interval, whose half width is SPREAD: between two
-    readings the force may set in at any instant, with the same chi-square.
-    """
+    """Move the delay to the middle of its 95 % interval: chi-square is flat between readings."""
     trial = best.copy()
     limit = misfit(m, trial, used, rows) + CERTAIN
     ends = np.empty(2)
@@ -646,16 +553,11 @@ def _centre(m, used, rows, best):
 
 @njit(cache=True)
 def _widen(m, p, used, work):
-    """Let the interval of the delay, now that the last reading is in, hold a drift that was not
-    worth an unknown: about ``p``, what the samples and its prior say of it together with all else,
-    and by how much the best fit that has it is off.
-    """
-    rows, other, jacobian = work
+    """Let the interval of the delay, at the last reading, hold a drift not worth an unknown."""
     matrix, step = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     joint = used.copy()
     joint[RATE] = True
-    _jacobian(m, p, joint, rows, other, jacobian)
-    _normal(m, p, joint, rows, jacobian, matrix, step)
+    _normal(m, p, joint, work, matrix, step)
     _add_priors(m, p, joint, matrix, step)
     _fix(p, joint, matrix, step)
     # the derivatives do not show the instant at which the force sets in, but the interval does
@@ -672,12 +574,10 @@ def _widen(m, p, used, work):
 
 @njit(cache=True)
 def _promised(m, p, used, new, work):
-    """By how much -2 ln Z falls at best if the unknown ``new`` joins the best fit ``p`` of those
-    ``used``, to first order: the score test (C. R. Rao, Proc. Camb. Phil. Soc. 44, 1948), less what
-    the unknown costs. A fraction of what finding the new best fit takes.
+    """The fall of -2 ln Z to first order if the unknown ``new`` joins the best fit: the score test
+    (C. R. Rao, Proc. Camb. Phil. Soc. 44, 1948) less what the unknown costs.
     """
-    rows, other, jacobian = work
-    matrix, gradient = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    rows, matrix, gradient = work[0], np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     joint, near = used.copy(), p.copy()
     joint[new] = True
     knots = KNOTS if new == STOP else 1
@@ -686,8 +586,7 @@ def _promised(m, p, used, new, work):
     for q in range(knots):
         if new == STOP:
             near[KNOT] = (SHALLOW + (DEEP - SHALLOW) * q / (KNOTS - 1)) * deepest
-        _jacobian(m, near, joint, rows, other, jacobian)
-        _normal(m, near, joint, rows, jacobian, matrix, gradient)
+        _normal(m, near, joint, work, matrix, gradient)
         across = np.zeros(UNKNOWNS)
         for c in range(UNKNOWNS):
             if c >= LINEAR and used[c] and c != KNOT:
@@ -701,16 +600,12 @@ def _promised(m, p, used, new, work):
                 matrix[:, c] = 0.0
                 matrix[c, c] = 1.0
                 across[c] = gradient[c] = 0.0
-        if not _cholesky(matrix):
+        both = across.copy()
+        solve(matrix, both, matrix)
+        own -= across @ both
+        slope -= gradient @ both
+        if math.isnan(own):
             return np.inf
-        for c in range(UNKNOWNS):
-            for e in range(c):
-                across[c] -= matrix[c, e] * across[e]
-                gradient[c] -= matrix[c, e] * gradient[e]
-            across[c] /= matrix[c, c]
-            gradient[c] /= matrix[c, c]
-            own -= across[c] ** 2
-            slope -= across[c] * gradient[c]
         sd = peak / max(np.max(np.abs(rows[:, new])), 1e-300) if new < LINEAR else prior_sd(m, new)
         if own > 0.0:
             gain = slope**2 / (own + 1.0 / sd**2)
@@ -728,7 +623,13 @@ def fit(m, free, best, used):
     work = (np.zeros((n, LINEAR)), np.zeros((n, LINEAR)), np.zeros((n, UNKNOWNS)))
     told, now, mine = np.zeros(SOLUTION), np.zeros(SOLUTION), np.zeros(UNKNOWNS, dtype=np.bool_)
     told[POINT], told[DELAY], told[LAG] = m.expected, m.told, m.lag
-    told[ONSET], told[DIGITAL] = onset(m, m.expected), m.digital
+    # the step that first is beyond the touch point, in the latest passage before the force was felt
+    step = m.felt * m.substeps
+    while step > 1 and m.s[step] <= m.expected:
+        step -= 1
+    while step > 1 and m.s[step - 1] > m.expected:
+        step -= 1
+    told[ONSET], told[DIGITAL] = step, m.digital
     mine[STIFFNESS], mine[DAMPING] = True, True
     misfit(m, told, mine, work[0])
     _scatter(m, told, mine, work[0])

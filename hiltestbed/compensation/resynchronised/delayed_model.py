@@ -25,7 +25,7 @@ from hiltestbed.numerical_model.kernels import (
 from hiltestbed.sensor.chain import filtered
 
 HISTORY = 512  # ticks of a contact that can be re-run
-FIRST_FIT = 8  # samples of contact: twice the unknowns of the richest law
+FIRST_FIT = 2 * cf.LINEAR  # samples of contact: twice the unknowns of the richest law
 # Columns of ``tick``: ticks done, tick of the delayed model, tick of the touch, number of samples
 # at which the next re-run and the next fit are due, tick of the first reading of this contact.
 DONE, DELAYED, ANCHOR, NEXT_RERUN, NEXT_FIT, FELT, TICK = range(7)
@@ -34,17 +34,6 @@ DONE, DELAYED, ANCHOR, NEXT_RERUN, NEXT_FIT, FELT, TICK = range(7)
 BELIEVED, HALF_WIDTH, EXPECTED, SMOOTHED, DIGITAL, TOLD = range(6)
 # Columns of ``drift``: of the delay a tick, and the tick at which it is the one in ``delay``.
 SLOPE, SINCE, DRIFT = range(3)
-
-
-@njit(cache=True, inline="always")
-def remember(i, state, wrench, pose, twist):
-    slot = state.tick[i, DONE] % state.x.shape[1]
-    for j in range(3):
-        state.x[i, slot, j] = pose[j]
-    rotation_vector(pose[3:7], state.x[i, slot, 3:6])
-    for j in range(6):
-        state.wrench[i, slot, j] = wrench[j]
-        state.rate[i, slot, j] = twist[j]
 
 
 @njit(cache=True, inline="always")
@@ -81,9 +70,7 @@ def _whole(ticks):
 
 @njit(cache=True)
 def _acted(i, m, k, rows):
-    """Position, rate and wrench at A (rows 0 to 2) when the force read at tick ``k`` acted; returns
-    the force [N].
-    """
+    """The force [N] of tick ``k``; position, rate and wrench at A when it acted in rows 0 to 2."""
     state = m.state
     late, part = _whole(_delay(i, m, k))
     # the sensor interpolates its reading between substeps; so is the rate weighted
@@ -148,15 +135,18 @@ def _take(i, m, rows, y):
     if count[ce.ABOVE] > 2 + setup.skip[i]:
         ce.learn(state.fit[i], state.law[i], count, state.pending[i], setup.sigma[i, 0])
     s, u = along(m.fixed, state.line[i], rows[0]), along(m.fixed, state.line[i], rows[1])
-    _felt(s, u, setup.smooth[i], setup.leak[i], state.regressor[i], state.pending[i])
-    state.pending[i, 3] = y
+    # x, v and 1 through the model of the sensor's filters, from the touch on
+    smooth, leak = setup.smooth[i], setup.leak[i]
+    memory, sample = state.regressor[i], state.pending[i]
+    sample[0] = filtered(s, smooth, leak, memory[0])
+    sample[1] = filtered(u, smooth, leak, memory[1])
+    sample[2] = filtered(1.0, smooth, leak, memory[2])
+    sample[3] = y
 
 
 @njit(cache=True)
 def _touched(i, m, s, u, work):
-    """Start a contact: move the model of a lagging platform back, in free flight, to where the rig
-    touched, and save the state for a re-run.
-    """
+    """Start a contact: the model of a lagging platform moves back to where the rig touched."""
     state, tick, law = m.state, m.state.tick[i], m.state.law[i]
     told = state.told[i]
     _hold(i, m, tick[DONE])
@@ -196,9 +186,7 @@ def _hold(i, m, k):
 
 @njit(cache=True)
 def _refit(i, m, work, rows):
-    """Fit delay and law to this contact so far; what the samples refuse is replaced, and the
-    delayed model is run again from before the touch.
-    """
+    """Fit delay and law to this contact so far, and run the model again from before the touch."""
     h, setup, state = m.tick, m.setup, m.state
     fit, law, count, tick = state.fit[i], state.law[i], state.count[i], state.tick[i]
     samples = _samples(i, m)
@@ -297,18 +285,8 @@ def _move_back(i, m, ticks, work):
 
 
 @njit(cache=True, inline="always")
-def _felt(x, v, smooth, leak, memory, out):
-    """Pass x, v and 1 through the model of the sensor's filters, from the touch on."""
-    out[0] = filtered(x, smooth, leak, memory[0])
-    out[1] = filtered(v, smooth, leak, memory[1])
-    out[2] = filtered(1.0, smooth, leak, memory[2])
-
-
-@njit(cache=True, inline="always")
 def catch_up(i, m, work, rows):
-    """Advance the delayed model as far as the last reading allows; re-run it from the touch when
-    the samples have doubled.
-    """
+    """Advance to the last reading; run again from the touch when the samples have doubled."""
     state = m.state
     tick, count = state.tick[i], state.count[i]
     last = tick[DONE] - _whole(_delay(i, m, tick[DONE]))[0]
@@ -327,9 +305,7 @@ def catch_up(i, m, work, rows):
 
 @njit(cache=True, inline="always")
 def _step_delayed(i, m, j, work, rows):
-    """Step the delayed model from t_j to t_(j+1) under the wrench measured for t_j, corrected for
-    the model's offset from the rig.
-    """
+    """A step from t_j under the wrench measured for it, corrected for the offset from the rig."""
     fixed, bodies, setup, state = m.fixed, m.bodies, m.setup, m.state
     length = state.x.shape[1]
     pose, twist, used, line, law = rows[0], rows[1], rows[2], state.line[i], state.law[i]
@@ -347,9 +323,11 @@ def _step_delayed(i, m, j, work, rows):
     rig = ce.size(law, along(fixed, line, x), along(fixed, line, v))
     if law[ce.KNOWN] == 1.0:
         rig = filtered(rig, setup.smooth[i], setup.leak[i], state.filtered[i, 0])
-    if rig == 0.0 and _silent(used, setup.sigma[i]):
-        for c in range(6):
-            used[c] = 0.0
+    noise, silent = setup.sigma[i, 0], rig == 0.0
+    for c in range(6 if noise == 0.0 else 3):
+        silent &= abs(used[c]) <= GATE_SIGMA * noise
+    if silent:  # noise only, which would make the model drift
+        used[:6] = 0.0
     at = rows[3]
     for c in range(3):
         at[c] = pose[c]
@@ -360,34 +338,19 @@ def _step_delayed(i, m, j, work, rows):
         used[c] += (
             line[0, c] * (size - rig) if (c != 0 and c != 1) or law[ce.FRICTION] == 0.0 else 0.0
         )
-    if law[ce.FRICTION] > 0.0:
-        _add_friction(line, law, v, twist, rig, size, state.creep[i, 0], used)
+    if law[ce.FRICTION] > 0.0:  # the friction at the delayed model's state less that at the rig's
+        sx, sy = ce.slip(line, twist)
+        fx, fy = ce.friction(law, size, sx, sy, state.creep[i, 0])
+        sx, sy = ce.slip(line, v)
+        gx, gy = ce.friction(law, max(rig, 0.0), sx, sy, state.creep[i, 0])
+        fx -= gx
+        fy -= gy
+        used[0] += fx
+        used[1] += fy
+        used[5] -= line[0, 4] * fy + line[0, 3] * fx
     wrench_at_P(used, pose, used)
     for c in range(6):
         state.used[i, c] = used[c]
     mass, inertia, inverse = bodies.mass[i], bodies.inertia[i], bodies.inverse[i]
     q, v, load = state.q[i, 0], state.v[i, 0], state.used[i]
     step(q, v, bodies.port[i], mass, inertia, inverse, load, m.tick, work)
-
-
-@njit(cache=True, inline="always")
-def _add_friction(line, law, rate, twist, rig, size, creep, used):
-    """Add the friction force at the delayed model's state less that at the rig's."""
-    sx, sy = ce.slip(line, twist)
-    fx, fy = ce.friction(law, size, sx, sy, creep)
-    sx, sy = ce.slip(line, rate)
-    gx, gy = ce.friction(law, max(rig, 0.0), sx, sy, creep)
-    fx -= gx
-    fy -= gy
-    used[0] += fx
-    used[1] += fy
-    used[5] -= line[0, 4] * fy + line[0, 3] * fx
-
-
-@njit(cache=True, inline="always")
-def _silent(wrench, sigma):
-    """Whether a wrench is noise only, and taken as zero so that the model does not drift."""
-    for c in range(6 if sigma[0] == 0.0 else 3):
-        if abs(wrench[c]) > GATE_SIGMA * sigma[0]:
-            return False
-    return True

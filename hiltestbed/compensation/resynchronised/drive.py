@@ -23,12 +23,11 @@ The delay that the scenario states need not be right: delay and contact are fitt
 (:mod:`~hiltestbed.compensation.resynchronised.contact_fit`), and a delay that the samples refuse is
 replaced.
 
-No force is differentiated, and the impulse is exact. Once a first contact is identified, the
-delayed model is re-run from the touch with the contact law, which removes the effect of the first
-tau, in which no force had been measured yet. The method was developed for this project; the idea of
-correcting a past state by a late measurement and predicting from it is that of filters with delayed
-measurements (H. Alexander, "State estimation for distributed systems with sensing delay", SPIE
-1470, 1991).
+Once a first contact is identified, the delayed model is re-run from the touch with the contact law,
+which removes the effect of the first tau, in which no force had been measured yet. The method was
+developed for this project; the idea of correcting a past state by a late measurement and predicting
+from it is that of filters with delayed measurements (H. Alexander, "State estimation for
+distributed systems with sensing delay", SPIE 1470, 1991).
 """
 
 from __future__ import annotations
@@ -52,7 +51,6 @@ from hiltestbed.compensation.resynchronised.delayed_model import (
     TOLD,
     catch_up,
     identify,
-    remember,
 )
 from hiltestbed.compensation.resynchronised.predictor import predict
 from hiltestbed.compiled.bound import GIVEN, Call
@@ -106,13 +104,9 @@ class State(NamedTuple):
     law: Array
     count: Integers
     line: Array  # (n, 3, 6)
-    regressor: (
-        Array  # (n, 3, FILTERED) filter states of x, v, 1 in the model of the sensor's filters
-    )
+    regressor: Array  # (n, 3, FILTERED) of x, v, 1 in the model of the sensor's filters
     pending: Array  # (n, 4) the last sample, not yet in the fit
-    filtered: (
-        Array  # (n, 2, FILTERED) filter states of the law's force at the rig, now and at the touch
-    )
+    filtered: Array  # (n, 2, FILTERED) of the law's force at the rig, now and at the touch
     delay: Array  # (n,) [s] nominal or estimated
     drift: Array  # (n, DRIFT) of the delay
     # (n, 2) [ticks] time constant of the low-pass, nominal or estimated; whether it is digital
@@ -186,7 +180,16 @@ class ResynchronisedDrive:
         self.wrench = np.zeros((n, 6))
         self.predicted_pose, self.predicted_twist = np.zeros((n, 7)), np.zeros((n, 6))
         self._predicted = np.zeros((n, 6))
-        setup = _setup(given, h)
+        lowpass, leak = filters_of([f.sensor for f in given])
+        setup = Setup(
+            smooth=low_pass(lowpass, h),
+            leak=high_pass(leak, h),
+            skip=np.ceil(FILTER_MEMORY * lowpass / h).astype(np.int64),
+            sigma=np.array([[f.sensor.noise, f.sensor.torque_noise] for f in given]),
+            blend=np.array([min(1.0 / f.blending, SYNC_LIMIT / h) for f in given]),
+            shares=np.array([f.shares for f in given]),
+            estimate=np.array([int(f.estimate) for f in given]),
+        )
         bodies = NominalBodies(
             model.port, model.mass, model.inertia, np.linalg.inv(model.inertia).astype(np.float64)
         )
@@ -209,19 +212,6 @@ class ResynchronisedDrive:
         if self._captured:
             self._captured.take_over(measurement, self.wrench)
         self.model.advance(self.wrench)
-
-
-def _setup(given: Sequence[PredictionParameters], h: float) -> Setup:
-    lowpass, leak = filters_of([f.sensor for f in given])
-    return Setup(
-        smooth=low_pass(lowpass, h),
-        leak=high_pass(leak, h),
-        skip=np.ceil(FILTER_MEMORY * lowpass / h).astype(np.int64),
-        sigma=np.array([[f.sensor.noise, f.sensor.torque_noise] for f in given]),
-        blend=np.array([min(1.0 / f.blending, SYNC_LIMIT / h) for f in given]),
-        shares=np.array([f.shares for f in given]),
-        estimate=np.array([int(f.estimate) for f in given]),
-    )
 
 
 def _state(given: Sequence[PredictionParameters], model: NumericalModel) -> State:
@@ -266,7 +256,13 @@ def _advance(m, wrench, pose, twist, predicted_pose, predicted_twist, predicted)
     rows = np.empty((8, 7))
     matrix = np.empty((6, 6))
     for i in range(pose.shape[0]):
-        remember(i, m.state, wrench[i], pose[i], twist[i])
+        state, slot = m.state, m.state.tick[i, DONE] % m.state.x.shape[1]
+        for j in range(3):
+            state.x[i, slot, j] = pose[i, j]
+        rotation_vector(pose[i, 3:7], state.x[i, slot, 3:6])
+        for j in range(6):
+            state.wrench[i, slot, j] = wrench[i, j]
+            state.rate[i, slot, j] = twist[i, j]
         identify(i, m, work, rows)
         catch_up(i, m, work, rows)
         pose_out, twist_out, wrench_out = predicted_pose[i], predicted_twist[i], predicted[i]
@@ -299,27 +295,19 @@ def _follow(m, q, pose, twist, predicted_pose, predicted_twist, predicted, wrenc
         for a in range(6):
             offset[a] -= h * free[a]
             slower[a] = predicted_twist[i, a] - free[a]
-        gain = _bearable(blend[i], m.setup.shares[i], offset, slower)
+        # at that pull, or the one that takes at most SHARE of each drive: gain^2 far + 2 gain fast
+        gain, shares, far, fast = blend[i], m.setup.shares[i], 0.0, 0.0
+        for j in range(shares.shape[0]):
+            x, v = 0.0, 0.0
+            for a in range(6):
+                x += shares[j, a] * offset[a]
+                v += shares[j, a] * slower[a]
+            far, fast = max(far, abs(x)), max(fast, abs(v))
+        if gain * (gain * far + 2.0 * fast) > SHARE:
+            gain = SHARE / (fast + np.sqrt(fast * fast + SHARE * far))
         for a in range(6):
             offset[a] = -gain * (gain * offset[a] + 2.0 * slower[a])
         solve(matrix, offset, factor)
         for a in range(6):
             at_A[a] += offset[a]
         wrench_at_P(at_A, pose[i], wrench[i])
-
-
-@njit(cache=True, inline="always")
-def _bearable(gain, shares, offset, slower):
-    """The ``gain`` [rad/s] of the pull for offsets (6,) of pose and twist, or the one at which it
-    takes at most :data:`SHARE` of each drive: gain^2 far + 2 gain fast = SHARE.
-    """
-    far, fast = 0.0, 0.0
-    for j in range(shares.shape[0]):
-        x, v = 0.0, 0.0
-        for a in range(6):
-            x += shares[j, a] * offset[a]
-            v += shares[j, a] * slower[a]
-        far, fast = max(far, abs(x)), max(fast, abs(v))
-    if gain * (gain * far + 2.0 * fast) <= SHARE:
-        return gain
-    return SHARE / (fast + np.sqrt(fast * fast + SHARE * far))

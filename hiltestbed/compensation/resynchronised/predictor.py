@@ -46,7 +46,22 @@ def predict(i, m, work, at, matrix, pose, twist, predicted):
             _slide(ticks, h, line, law, at[2], twist, matrix, state.creep[i], sums)
         else:
             s, u = along(fixed, line, at), along(fixed, line, twist)
-            _press(ticks, h, fixed, line, law, s, u, matrix, sums)
+            # only the magnitude of the force is stepped; its direction is constant
+            gain, force, impulse, shift = 0.0, 0.0, 0.0, 0.0
+            for a in range(6):
+                for b in range(6):
+                    slope = (1.0 if a == 2 else 0.0) if fixed else line[0, a]
+                    gain += slope * matrix[a, b] * line[0, b]
+            for _ in range(ticks):
+                force = ce.size(law, s, u)
+                u -= h * gain * force
+                s += h * u
+                impulse += h * force
+                shift += h * impulse
+            for c in range(6):
+                sums[0, c] = force * line[0, c]
+                sums[1, c] = impulse * line[0, c]
+                sums[2, c] = shift * line[0, c]
     elif state.count[i, ce.ABOVE] > 0:  # until the contact is identified, hold the last force
         wrench_at_A(state.used[i], pose, sums[0])
         for c in range(6):
@@ -60,26 +75,6 @@ def predict(i, m, work, at, matrix, pose, twist, predicted):
     for c in range(6):
         predicted[c] = sums[0, c]
     relative_motion(q, v, bodies.port[i], work, pose, twist)
-
-
-@njit(cache=True)
-def _press(ticks, h, fixed, line, law, s, u, matrix, sums):
-    """Step only the magnitude of the force; its direction is constant."""
-    gain, force, impulse, shift = 0.0, 0.0, 0.0, 0.0
-    for a in range(6):
-        for b in range(6):
-            slope = (1.0 if a == 2 else 0.0) if fixed else line[0, a]
-            gain += slope * matrix[a, b] * line[0, b]
-    for _ in range(ticks):
-        force = ce.size(law, s, u)
-        u -= h * gain * force
-        s += h * u
-        impulse += h * force
-        shift += h * impulse
-    for c in range(6):
-        sums[0, c] = force * line[0, c]
-        sums[1, c] = impulse * line[0, c]
-        sums[2, c] = shift * line[0, c]
 
 
 @njit(cache=True)

@@ -16,7 +16,7 @@ from hiltestbed.plugins import register
 if TYPE_CHECKING:
     from hiltestbed.compensation.resynchronised.drive import ResynchronisedDrive
     from hiltestbed.numerical_model.model import NumericalModel
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 
 class KnownContact(Strictly):
@@ -61,7 +61,7 @@ class Resynchronised(ForceMethod):
     corrects_platform: ClassVar[bool] = True
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ResynchronisedDrive:
+    def start(cls, scenarios: Sequence[ScenarioLike], model: NumericalModel) -> ResynchronisedDrive:
         from hiltestbed.compensation.force_methods.reconstruction import CapturedContact
         from hiltestbed.compensation.resynchronised.drive import (
             PredictionParameters,
@@ -84,7 +84,7 @@ class Resynchronised(ForceMethod):
         prescribed = first.rig.platform.prescribed
         return ResynchronisedDrive(model, given, first.substeps, prescribed, captured)
 
-    def removes(self, scenario: Scenario) -> Mapping[str, float]:
+    def removes(self, scenario: ScenarioLike) -> Mapping[str, float]:
         sensor = scenario.sensor
         # the predictor models the low-pass as well
         lowpass = 0.0 if sensor.lowpass is None else 1.0 / (2.0 * math.pi * sensor.lowpass)
@@ -95,7 +95,7 @@ class Resynchronised(ForceMethod):
             )
         return out
 
-    def idle(self, scenario: Scenario) -> Iterable[Problem]:
+    def idle(self, scenario: ScenarioLike) -> Iterable[Problem]:
         if scenario.mechanism.captured:
             yield (
                 ("blending",),

@@ -15,7 +15,7 @@ from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
     from hiltestbed.contact.parameters import ContactParameters
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 
 class ContactEffect(Effect):
@@ -224,7 +224,7 @@ class FrameMode(ContactEffect):
         p.mode_mass = self.mass
         p.reaction = float(self.variant.get("reads") == "reaction")
 
-    def unfit(self, scenario: Scenario) -> str | None:
+    def unfit(self, scenario: ScenarioLike) -> str | None:
         fastest = math.hypot(
             2.0 * math.pi * self.frequency,
             math.sqrt(scenario.mechanism.contact.stiffness / self.mass),

@@ -15,7 +15,7 @@ from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
     from hiltestbed.contact.parameters import ContactParameters
-    from hiltestbed.scenario.like import ScenarioLike as Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 Tilt = Annotated[
     tuple[Annotated[float, Field(ge=-45.0, le=45.0)], ...],
@@ -59,7 +59,7 @@ class ContactAdhesion(ContactEffect):
     def apply(self, p: ContactParameters) -> None:
         p.adhesion += self.force
 
-    def unfit(self, scenario: Scenario) -> str | None:
+    def unfit(self, scenario: ScenarioLike) -> str | None:
         if scenario.mechanism.captured:
             return (
                 f"acts where a contact ends, and a mechanism of kind "
@@ -116,7 +116,7 @@ class ContactBacklash(ContactEffect):
     def apply(self, p: ContactParameters) -> None:
         p.play += self.width
 
-    def unfit(self, scenario: Scenario) -> str | None:
+    def unfit(self, scenario: ScenarioLike) -> str | None:
         if not (scenario.mechanism.captured or scenario.mechanism.latch):
             return (
                 f"needs a latched mechanism (got {scenario.mechanism.kind!r} without a "

@@ -30,8 +30,8 @@ class Tree(NamedTuple):
         corners: (nf, 3, 3) [m]. normals: (nf, 7, 3) of the face, its edges (01, 12, 20) and its
             corners.
         boxes: (nn, 15) centre, axes (rows of a rotation) and half sizes of the box around a node,
-            along the principal axes of its
-            triangles: axis-aligned boxes would fit the long thin triangles of a mesh of revolution
+            along the principal axes of its triangles: axis-aligned boxes would fit the long thin
+            triangles of a mesh of revolution
                 badly.
         links: (nn, 2) both children; for a leaf -1 minus the index of its first triangle, and their
             number.
@@ -94,67 +94,55 @@ def _split(corners):
         if parent >= 0:
             links[parent, child] = nodes
         here = order[start:end].copy()
-        box = boxes[nodes]
-        _box_round(corners, here, box)
+        # the box is along the principal axes of the triangles
+        box, mean, moments = boxes[nodes], np.zeros(3), np.zeros((3, 3))
+        for k in here:
+            for c in range(3):
+                mean += corners[k, c]
+        mean /= 3 * len(here)
+        for k in here:
+            for c in range(3):
+                for i in range(3):
+                    for j in range(3):
+                        moments[i, j] += (corners[k, c, i] - mean[i]) * (corners[k, c, j] - mean[j])
+        axes = np.linalg.eigh(moments)[1]
+        for j in range(3):
+            box[j] = 0.0
+        for i in range(3):
+            low, high = math.inf, -math.inf
+            for k in here:
+                for c in range(3):
+                    along = (
+                        corners[k, c, 0] * axes[0, i]
+                        + corners[k, c, 1] * axes[1, i]
+                        + corners[k, c, 2] * axes[2, i]
+                    )
+                    low, high = min(low, along), max(high, along)
+            for j in range(3):
+                box[3 + 3 * i + j] = axes[j, i]
+                box[j] += 0.5 * (low + high) * axes[j, i]
+            box[12 + i] = 0.5 * (high - low)
         links[nodes] = (-1 - start, end - start)
         nodes += 1
         if end - start <= LEAF:
             continue
+        # positions of the triangles' centres along the axes of the box
+        spread = np.zeros((3, len(here)))
+        for k in range(len(here)):
+            for i in range(3):
+                for c in range(3):
+                    for j in range(3):
+                        spread[i, k] += corners[here[k], c, j] * box[3 + 3 * i + j]
+        widest = 0
+        for i in range(1, 3):
+            if np.ptp(spread[i]) > np.ptp(spread[widest]):
+                widest = i
         half = (end - start) // 2
-        order[start:end] = here[np.argsort(_along_longest(corners, here, box))]
+        order[start:end] = here[np.argsort(spread[widest])]
         todo[top] = (start, start + half, nodes - 1, 0)
         todo[top + 1] = (start + half, end, nodes - 1, 1)
         top += 2
     return order, boxes[:nodes].copy(), links[:nodes].copy()
-
-
-@njit(cache=True)
-def _along_longest(corners, here, box):
-    """Positions of the triangles' centres along the box axis with the largest spread."""
-    spread = np.empty((3, len(here)))
-    for k in range(len(here)):
-        for i in range(3):
-            spread[i, k] = 0.0
-            for c in range(3):
-                for j in range(3):
-                    spread[i, k] += corners[here[k], c, j] * box[3 + 3 * i + j]
-    widest = 0
-    for i in range(1, 3):
-        if np.ptp(spread[i]) > np.ptp(spread[widest]):
-            widest = i
-    return spread[widest]
-
-
-@njit(cache=True)
-def _box_round(corners, here, box):
-    """Write the box around the triangles ``here``, along their principal axes."""
-    mean, moments = np.zeros(3), np.zeros((3, 3))
-    for k in here:
-        for c in range(3):
-            mean += corners[k, c]
-    mean /= 3 * len(here)
-    for k in here:
-        for c in range(3):
-            for i in range(3):
-                for j in range(3):
-                    moments[i, j] += (corners[k, c, i] - mean[i]) * (corners[k, c, j] - mean[j])
-    axes = np.linalg.eigh(moments)[1]
-    for j in range(3):
-        box[j] = 0.0
-    for i in range(3):
-        low, high = math.inf, -math.inf
-        for k in here:
-            for c in range(3):
-                along = (
-                    corners[k, c, 0] * axes[0, i]
-                    + corners[k, c, 1] * axes[1, i]
-                    + corners[k, c, 2] * axes[2, i]
-                )
-                low, high = min(low, along), max(high, along)
-        for j in range(3):
-            box[3 + 3 * i + j] = axes[j, i]
-            box[j] += 0.5 * (low + high) * axes[j, i]
-        box[12 + i] = 0.5 * (high - low)
 
 
 @njit(cache=True)
@@ -242,7 +230,17 @@ def mesh_beyond(tree, start, end, reach):
     while top > 0:
         top -= 1
         node = stack[top]
-        least = _segment_from_box(tree.boxes[node], start, end, half)
+        # between the projections on the axes of the box, and between the bounding spheres
+        box, gaps2, away2, size2 = tree.boxes[node], 0.0, 0.0, 0.0
+        for i in range(3):
+            a = b = 0.0
+            for j in range(3):
+                a += (start[j] - box[j]) * box[3 + 3 * i + j]
+                b += (end[j] - box[j]) * box[3 + 3 * i + j]
+            gaps2 += max(0.0, min(a, b) - box[12 + i], -max(a, b) - box[12 + i]) ** 2
+            away2 += (0.5 * (a + b)) ** 2
+            size2 += box[12 + i] ** 2
+        least = max(math.sqrt(gaps2), math.sqrt(away2) - math.sqrt(size2) - half)
         if least >= reach:
             bound = min(bound, least)
             continue
@@ -251,23 +249,6 @@ def mesh_beyond(tree, start, end, reach):
         stack[top], stack[top + 1] = tree.links[node, 0], tree.links[node, 1]
         top += 2
     return bound
-
-
-@njit(cache=True)
-def _segment_from_box(box, start, end, half):
-    """A lower bound of the distance [m] of a segment of length 2 ``half`` from a box: between their
-    projections on the axes of the box, and between the bounding spheres of box and segment.
-    """
-    gaps2, away2, size2 = 0.0, 0.0, 0.0
-    for i in range(3):
-        a = b = 0.0
-        for j in range(3):
-            a += (start[j] - box[j]) * box[3 + 3 * i + j]
-            b += (end[j] - box[j]) * box[3 + 3 * i + j]
-        gaps2 += max(0.0, min(a, b) - box[12 + i], -max(a, b) - box[12 + i]) ** 2
-        away2 += (0.5 * (a + b)) ** 2
-        size2 += box[12 + i] ** 2
-    return max(math.sqrt(gaps2), math.sqrt(away2) - math.sqrt(size2) - half)
 
 
 @njit(cache=True)

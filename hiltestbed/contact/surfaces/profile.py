@@ -26,7 +26,7 @@ SEGMENT, ARC = 0.0, 1.0
 # the sweep, and +1 if the outward normal points away from the centre, else -1; the pseudo-normals
 # at both ends.
 KIND, A, B, U, V, SIZE, COS_HALF, SIDE, NORMAL_A, NORMAL_B = 0, 1, 3, 5, 7, 9, 10, 11, 12, 14
-COLUMNS = 16
+COLUMNS = NORMAL_B + 2
 TURNED = 100  # number of this kind of surface, distinct from MuJoCo's geom types
 SAMPLES = 12  # largest number of samples along a rod to show that it does not touch
 TOUCHING = 1e-13  # [m] distance below which the direction to a corner is undefined
@@ -126,17 +126,6 @@ def _join(loop: list[Element], rows: list[Array]) -> None:
             row[at : at + 2] = (
                 normal / length if length > 1e-12 else _end_normal(row, np.array(end))
             )
-
-
-def profile_bounds(profile: Array) -> tuple[Array, float]:
-    """Centre (3,) and radius [m] of a bounding sphere of the surface of revolution."""
-    rows = profile[1:]
-    ends = np.concatenate([rows[:, A : A + 2], rows[:, B : B + 2]])
-    middle = 0.5 * (ends[:, 1].min() + ends[:, 1].max())
-    away = float(np.hypot(ends[:, 0], ends[:, 1] - middle).max())
-    for row in rows[rows[:, KIND] == ARC]:
-        away = max(away, math.hypot(row[U], row[U + 1] - middle) + row[SIZE])
-    return profile[0, 0:3] + middle * profile[0, 3:6], away
 
 
 @njit(cache=True)

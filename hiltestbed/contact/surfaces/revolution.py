@@ -179,13 +179,27 @@ def _fit(points: Array, tolerance: float) -> list[Element]:
     if closed:
         points = _from_a_corner(points, tolerance)
     elements: list[Element] = []
-    i = 0
-    while i < len(points) - 1:
-        end, circle = _longest_arc(points, i, tolerance)
+    start = 0
+    while start < len(points) - 1:
+        a, stop = points[start], start + FEWEST_ON_ARC  # of the longest arc
+        circle = longer = _circle(points[start:stop], tolerance) if stop <= len(points) else None
+        while longer is not None and stop < len(points):
+            longer = _circle(points[start : stop + 1], tolerance)
+            circle, stop = (circle, stop) if longer is None else (longer, stop + 1)
+        if circle is None:  # else of the longest line
+            stop = start + 2
+            while stop < len(points) and _off_line(points[start : stop + 1]) <= tolerance:
+                stop += 1
+        b = points[stop - 1]
+        ends = (float(a[0]), float(a[1])), (float(b[0]), float(b[1]))
         if circle is None:
-            end = _longest_line(points, i, tolerance)
-        elements.append(_element(points[i], points[end], circle, points[i + 1]))
-        i = end
+            elements.append(Element(*ends))
+        else:
+            arm, step = a - circle[:2], points[start + 1] - circle[:2]
+            clockwise = bool(arm[0] * step[1] - arm[1] * step[0] < 0.0)
+            centre = (float(circle[0]), float(circle[1]))
+            elements.append(Element(*ends, centre, clockwise=clockwise))
+        start = stop - 1
     return elements
 
 
@@ -220,30 +234,10 @@ def _off_line(points: Array) -> float:
     )
 
 
-def _longest_line(points: Array, start: int, tolerance: float) -> int:
-    end = start + 1
-    while end + 1 < len(points) and _off_line(points[start : end + 2]) <= tolerance:
-        end += 1
-    return end
-
-
-def _longest_arc(points: Array, start: int, tolerance: float) -> tuple[int, Array | None]:
-    end, best = start + FEWEST_ON_ARC - 1, None
-    while end < len(points):
-        circle = _circle(points[start : end + 1], tolerance)
-        if circle is None:
-            break
-        best = circle
-        end += 1
-    return end - 1, best
-
-
 def _circle(points: Array, tolerance: float) -> Array | None:
-    """Centre and radius (3,) of the circle through all the points, in one sense of rotation; None
-    if there is none.
-
-    Starts from the algebraic fit (Kasa), then Gauss-Newton on the distances; a centre within the
-    tolerance of the axis is put on it.
+    """Centre and radius (3,) of the circle through the points, one way round; None if there is
+    none: from the algebraic fit (Kasa), Gauss-Newton on the distances; a centre nearly on the axis
+    is put on it.
     """
     edges = np.diff(points, axis=0)
     turns = np.arctan2(
@@ -284,12 +278,3 @@ def _refined(points: Array, circle: Array, fixed: bool) -> Array:
             slope[:, 0] = 0.0
         circle = circle + np.linalg.lstsq(slope, length - circle[2], rcond=None)[0]
     return circle
-
-
-def _element(a: Array, b: Array, circle: Array | None, second: Array) -> Element:
-    ends = (float(a[0]), float(a[1])), (float(b[0]), float(b[1]))
-    if circle is None:
-        return Element(*ends)
-    arm, step = a - circle[:2], second - circle[:2]
-    centre = (float(circle[0]), float(circle[1]))
-    return Element(*ends, centre, clockwise=bool(arm[0] * step[1] - arm[1] * step[0] < 0.0))

@@ -81,7 +81,14 @@ def examine(vertices: Array, faces: NDArray[np.int_]) -> list[MeshFault]:
     if len(kept) < FEWEST_TRIANGLES:
         what = f"only {len(kept)} triangles have an area"
         return [*findings, MeshFault("too_small", len(kept), what)]
-    return findings + _edges(kept) + _orientation(sound, kept)
+    findings += _edges(kept)
+    if volume(sound - sound.mean(axis=0), kept) < 0.0:
+        what = (
+            "the normals of all faces point inwards: the enclosed volume is negative; "
+            "flip the faces"
+        )
+        findings.append(MeshFault("inverted", len(kept), what))
+    return findings
 
 
 def _edges(faces: NDArray[np.int_]) -> list[MeshFault]:
@@ -110,13 +117,3 @@ def _edges(faces: NDArray[np.int_]) -> list[MeshFault]:
     }
     found = [(kind, int(where.sum()), what) for kind, (where, what) in faulty.items()]
     return [MeshFault(kind, n, f"{n} {what}") for kind, n, what in found if n]
-
-
-def _orientation(vertices: Array, faces: NDArray[np.int_]) -> list[MeshFault]:
-    if volume(vertices - vertices.mean(axis=0), faces) < 0.0:
-        what = (
-            "the normals of all faces point inwards: the enclosed volume is negative; "
-            "flip the faces"
-        )
-        return [MeshFault("inverted", len(faces), what)]
-    return []

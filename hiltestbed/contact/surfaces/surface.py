@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.surfaces import mesh, profile
-from hiltestbed.contact.surfaces.mesh import Tree, mesh_beyond, mesh_distance
+from hiltestbed.contact.surfaces.mesh import Tree, mesh_distance
 from hiltestbed.contact.surfaces.profile import COLUMNS, TURNED, between, profile_distance
 from hiltestbed.contact.surfaces.revolution import recognise
 from hiltestbed.contact.surfaces.soundness import MeshFault, examine
@@ -27,30 +27,6 @@ from hiltestbed.frames import Array
 # as mujoco.mjtGeom, the second of which is a height field
 PLANE, _, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(8)
 KINDS = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
-
-
-@njit(cache=True)
-def shape_distance(kind, sizes, point, normal):
-    """Distance [m] of ``point`` (3,) from the surface, negative inside; ``normal`` (3,) becomes the
-    outward normal.
-
-    If several points of the surface are equally near (as from the centre of a sphere), one of them
-    is taken.
-    """
-    if kind == SPHERE:
-        return _ball(point[0], point[1], point[2], sizes[0], normal)
-    if kind == CAPSULE:
-        end = min(max(point[2], -sizes[1]), sizes[1])
-        return _ball(point[0], point[1], point[2] - end, sizes[0], normal)
-    if kind == CYLINDER:
-        return _cylinder(sizes, point, normal)
-    if kind == BOX:
-        return _box(sizes, point, normal)
-    if kind == ELLIPSOID:
-        return _ellipsoid(sizes, point, normal)
-    normal[0] = normal[1] = 0.0
-    normal[2] = 1.0
-    return point[2]
 
 
 @njit(cache=True)
@@ -155,9 +131,7 @@ PARTS = 2**HALVINGS
 
 
 class Surface(NamedTuple):
-    """A surface in the frame of its geom: one of MuJoCo's geoms (``kind``, ``sizes`` (3,)), a
-    profile or a tree of triangles.
-    """
+    """A surface in its geom's frame: a geom (``kind``, ``sizes`` (3,)), a profile or triangles."""
 
     kind: int
     sizes: Array
@@ -209,7 +183,13 @@ def bounds(surface: Surface) -> tuple[Array, float]:
     """Centre (3,) and radius [m] of a bounding sphere of the surface; infinite for a plane."""
     kind, s = surface.kind, surface.sizes
     if kind == TURNED:
-        return profile.profile_bounds(surface.profile)
+        rows, p = surface.profile[1:], profile
+        ends = np.concatenate([rows[:, p.A : p.A + 2], rows[:, p.B : p.B + 2]])
+        middle = 0.5 * (ends[:, 1].min() + ends[:, 1].max())
+        away = float(np.hypot(ends[:, 0], ends[:, 1] - middle).max())
+        for row in rows[rows[:, p.KIND] == p.ARC]:
+            away = max(away, math.hypot(row[p.U], row[p.U + 1] - middle) + row[p.SIZE])
+        return surface.profile[0, 0:3] + middle * surface.profile[0, 3:6], away
     if kind == MESH:
         corners = surface.tree.corners.reshape(-1, 3)
         centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
@@ -232,26 +212,28 @@ def signed_distance(surface, point, reach, normal):
 
     For a mesh farther than ``reach`` [m] on either side a lower bound, at least ``reach``, is
     returned, without a normal; ``reach`` must be at least the radius of the body that touches plus
-    its largest penetration. Other surfaces are exact everywhere.
+    its largest penetration. Other surfaces are exact everywhere; if several of their points are
+    equally near (as from the centre of a sphere), one of them is taken.
     """
-    if surface.kind == TURNED:
+    kind, sizes = surface.kind, surface.sizes
+    if kind == TURNED:
         return profile_distance(surface.profile, point, normal)
-    if surface.kind == MESH:
+    if kind == MESH:
         return mesh_distance(surface.tree, point, reach, normal)
-    return shape_distance(surface.kind, surface.sizes, point, normal)
-
-
-@njit(cache=True)
-def segment_beyond(surface, start, end, reach):
-    """A lower bound of the distance [m] of a segment from ``start`` (3,) to ``end`` (3,), at a
-    fraction of the cost of the distance.
-
-    At least ``reach`` if the segment is certainly farther, -inf if undecided. For a mesh of
-    revolution see :func:`hiltestbed.contact.surfaces.profile.beyond`.
-    """
-    if surface.kind == MESH:
-        return mesh_beyond(surface.tree, start, end, reach)
-    return -math.inf
+    if kind == SPHERE:
+        return _ball(point[0], point[1], point[2], sizes[0], normal)
+    if kind == CAPSULE:
+        end = min(max(point[2], -sizes[1]), sizes[1])
+        return _ball(point[0], point[1], point[2] - end, sizes[0], normal)
+    if kind == CYLINDER:
+        return _cylinder(sizes, point, normal)
+    if kind == BOX:
+        return _box(sizes, point, normal)
+    if kind == ELLIPSOID:
+        return _ellipsoid(sizes, point, normal)
+    normal[0] = normal[1] = 0.0
+    normal[2] = 1.0
+    return point[2]
 
 
 @njit(cache=True)

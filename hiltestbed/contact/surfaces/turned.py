@@ -19,19 +19,13 @@ def polyline(loop: list[Element], arc_step: float) -> Array:
     points = [loop[0].a]
     for e in loop:
         if e.centre is not None:
-            points += _on_arc(e, arc_step)
+            (rho, z), (start, sweep) = e.centre, e.sweep()
+            radius = math.hypot(e.a[0] - rho, e.a[1] - z)
+            steps = max(math.ceil(abs(sweep) / arc_step - 1e-9), 3)
+            angles = start + sweep * np.arange(1, steps) / steps
+            points += [(rho + radius * math.cos(a), z + radius * math.sin(a)) for a in angles]
         points.append(e.b)
     return np.array(points)
-
-
-def _on_arc(e: Element, arc_step: float) -> list[tuple[float, float]]:
-    assert e.centre is not None
-    (rho, z) = e.centre
-    start, sweep = e.sweep()
-    radius = math.hypot(e.a[0] - rho, e.a[1] - z)
-    steps = max(math.ceil(abs(sweep) / arc_step - 1e-9), 3)
-    angles = start + sweep * np.arange(1, steps) / steps
-    return [(rho + radius * math.cos(a), z + radius * math.sin(a)) for a in angles]
 
 
 def turn(points: Array, segments: int) -> tuple[Array, NDArray[np.int_]]:
@@ -92,9 +86,7 @@ def shell(socket: float, half_angle: float, generator: float, thickness: float) 
     sin, cos = math.sin(half_angle), math.cos(half_angle)
 
     def across(distance: float, along: float) -> tuple[float, float]:
-        """A point at ``along`` [m] on the generator from its point of tangency, at ``distance`` [m]
-        from the socket's centre across it.
-        """
+        """A point ``along`` [m] the generator, at ``distance`` [m] from the socket's centre."""
         return distance * cos + along * sin, distance * sin - socket - along * cos
 
     outer = socket + thickness

@@ -19,7 +19,8 @@ from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 from hiltestbed.platform.effects.learned import LearnedResponse
-from hiltestbed.sensor.effects import WRENCH_AXES, SensorMap
+from hiltestbed.sensor.effects import SensorMap
+from hiltestbed.signals import AXES
 
 FINE_KNOTS = 17  # chosen: of a curve at most
 HELD_LEVELS, PUSHED_LEVELS = (3, 5, 9, 17), (2, 3, 5, 9, 17)  # numbers of knots to choose from
@@ -179,7 +180,7 @@ def sensor_families(residual: Residual, known: Effects) -> Iterator[SensorCurve]
             high = most if highest > LEAST_SHARE * most else 0.0
             levels = HELD_LEVELS if low < 0.0 < high else PUSHED_LEVELS
             block = Block("reading", np.linspace(low, high, FINE_KNOTS), True, levels)
-            yield SensorCurve((block,), most, WRENCH_AXES[j])
+            yield SensorCurve((block,), most, AXES[j])
 
 
 def reached(link: WrenchLink, i: int) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ from hiltestbed.diagnosis.result import Learned, LearnedCurve
 from hiltestbed.diagnosis.settings import MIN_EXPLAINED
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
-from hiltestbed.sensor.effects import WRENCH_AXES
+from hiltestbed.signals import AXES
 
 MAX_SAMPLES = 3000  # chosen: drawn under a curve
 DIGITS = 6  # significant, of the numbers in a scenario
@@ -88,7 +88,7 @@ def _curves(residual: Residual, law: Law) -> list[LearnedCurve]:
         units[name] = over, unit
     if not isinstance(link, WrenchLink):
         return [LearnedCurve(n, c, np.zeros((0, 2)), units[n]) for n, c in pairs.items()]
-    axis = WRENCH_AXES.index(family.axis) if isinstance(family, SensorCurve) else 2
+    axis = AXES.index(family.axis) if isinstance(family, SensorCurve) else 2
     left: list[Array] = []
     places: dict[str, list[Array]] = {name: [] for name in pairs}
     for i in residual.runs:

@@ -23,7 +23,7 @@ from hiltestbed.diagnosis.links.base import (
     whitening_filter,
 )
 from hiltestbed.diagnosis.settings import BLOCK_ROWS, CORRELATED_ROWS, MODEL_ERROR
-from hiltestbed.effects.log import log_parameters
+from hiltestbed.effects.log import LogParameters
 from hiltestbed.frames import Array
 from hiltestbed.replay import moves_linearly, replay_compensation
 from hiltestbed.replay.compensation import central_rates, reads_rates
@@ -76,7 +76,7 @@ class CompensationLink(ModelLink):
         run = [i for i, _ in lanes]
         found = replay_compensation(
             [self.runs[i].scenario for i in run],
-            [InputParameters.of(effects) for _, effects in lanes],
+            [InputParameters().with_effects(effects) for _, effects in lanes],
             {name: values[run] for name, values in self._records.items()},
             padded([self._reading(i, effects) for i, effects in lanes]),
             np.arange(len(lanes)),
@@ -100,7 +100,7 @@ class CompensationLink(ModelLink):
         """(N, 6) the wrench that the loop used: later rows of a record that is stamped late. Where
         that was read again, a force changes with the time, and the noise of a row stays with it.
         """
-        log, wrench = log_parameters(effects), self.wrenches[i]
+        log, wrench = LogParameters().with_effects(effects), self.wrenches[i]
         if not log.skew:
             return wrench
         rows = log.skew / self.tick
@@ -112,7 +112,7 @@ class CompensationLink(ModelLink):
         """Of a record that was read again: between two rows a reading may bend as it will, and one
         physical force read twice differs as two models of it do.
         """
-        log, wrench = log_parameters(effects), self.wrenches[i]
+        log, wrench = LogParameters().with_effects(effects), self.wrenches[i]
         if not (log.skew and log.reread):
             return None
         rows = log.skew / self.tick
@@ -139,7 +139,7 @@ class CompensationLink(ModelLink):
 
     def smoothing(self, effects: Effects) -> float:
         timing = self.timing_with(effects)
-        log = log_parameters(effects)
+        log = LogParameters().with_effects(effects)
         shifts = (log.skew * (not log.reread), timing.delay, timing.before)
         return math.prod(smoothed(s / self.tick) for s in shifts)
 

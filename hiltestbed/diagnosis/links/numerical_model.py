@@ -111,7 +111,7 @@ class DynamicsLink(ModelLink):
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         run = np.array([i for i, _ in lanes])
-        departures = stack([DynamicsParameters.of(effects) for _, effects in lanes])
+        departures = stack([DynamicsParameters().with_effects(effects) for _, effects in lanes])
         scenarios = [self.runs[i].scenario for i in run]
         start = approach_states(s.approach for s in scenarios)
         departing = Departing([s.spacecraft for s in scenarios], start, self.tick, departures)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from copy import copy
+from copy import copy, deepcopy
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -35,7 +35,7 @@ from hiltestbed.diagnosis.links.base import (
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.low_pass import LowPass
 from hiltestbed.diagnosis.settings import BLOCK_ROWS, UNKNOWN
-from hiltestbed.effects.log import log_parameters
+from hiltestbed.effects.log import LogParameters
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_states
 from hiltestbed.platform.build import runs_of
@@ -56,7 +56,7 @@ SHARE_OF_A_JUMP = 0.1
 WEIGHTS = WEIGHTS / math.sqrt(2.0 * math.pi)
 
 
-_NO_LOG_EFFECT = log_parameters(())
+_NO_LOG_EFFECT = LogParameters()
 
 
 class Interpretation(NamedTuple):
@@ -390,8 +390,8 @@ class WrenchLink(ModelLink):
                 self.runs[i].scenario.mechanism.captured,
             )
         if "sensor" in links:
-            sensor = sensor.copy().with_effects(effects)
-        log = log_parameters(effects) if "log" in links else _NO_LOG_EFFECT
+            sensor = deepcopy(sensor).with_effects(effects)
+        log = LogParameters().with_effects(effects) if "log" in links else _NO_LOG_EFFECT
         return FeltLane(i, rows, sensor, log, self.timing_with(effects).delay)
 
     def penetration(self, i: int) -> Array:
@@ -452,8 +452,7 @@ class WrenchLink(ModelLink):
         width = lane.sensor.deadzone
         if not width.any():
             return np.zeros((run.rows, 6))
-        through = lane.sensor.copy()
-        through.deadzone = np.zeros(6)
+        through = replace(lane.sensor, deadzone=np.zeros(6))
         force = replay_wrench(self._felt, [lane._replace(sensor=through)], self.reads.grid)[0][
             : run.rows
         ]

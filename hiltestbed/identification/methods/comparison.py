@@ -3,8 +3,7 @@
 **Instrumental variables**, in a batch: the reference method for a noisy pose. Noise in the
 regressors x and v biases k and c towards zero. Instruments z that are correlated with x and v but
 not with their noise remove the bias: ``theta = (Z^T Phi)^-1 Z^T y`` (L. Ljung, System
-Identification, 2nd ed. 1999, section 7.6). Here z is the regressor of some ticks earlier. Without
-pose noise this is least squares with slightly more scatter.
+Identification, 2nd ed. 1999, section 7.6). Here z is the regressor of some ticks earlier.
 
 **A Hunt-Crossley contact** in a single stage, ``F = k x^n (1 + alpha v)``.
 
@@ -14,9 +13,7 @@ linear in (ln k, n, alpha) (A. Haddadi, K. Hashtrudi-Zaad, "Real-time identifica
 Hunt-Crossley dynamic models of contact environments", IEEE T-RO 28(3), 2012). The logarithm needs
 the touch point: x is measured from the nominal one. The reported stiffness and damping are those of
 the linear spring and damper with the same force at the largest penetration X and the same energy
-loss: k X^(n-1), and ``alpha F(X)`` times ``<x v^2>/(X <v^2>) = 4/(3 pi)`` of a half sine. On a
-contact that is a linear spring and damper the force step at touch, ``c v0``, does not fit the law:
-the estimate of n is below 1.
+loss: k X^(n-1), and ``alpha F(X)`` times ``<x v^2>/(X <v^2>) = 4/(3 pi)`` of a half sine.
 
 **An adaptive Kalman filter**: the state (k, c, b) of each axis follows a random walk; the force is
 the observation, ``F = k x + c v + b``. The variance of the force noise is estimated from the
@@ -30,10 +27,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from hiltestbed.compiled.bound import bound
@@ -63,6 +59,30 @@ SLOWEST_SPEED = 1e-5  # [m/s, rad/s] an axis that moves more slowly is not excit
 ACCEPTED = 0.3  # relative standard deviation below which k is reported
 
 
+class SampleFit:
+    """Estimates on six axes for ``n`` runs, of one kernel; attributes as in
+    :class:`RecursiveLeastSquares`, and ``found``: (q, n, 6) all of them.
+    """
+
+    stiffness_sd: Array | None = None
+    damping_sd: Array | None = None
+
+    def __init__(self, given: SampleParameters, kernel: Any, found: int, *state: Any) -> None:
+        """``found``: number q of quantities, first k and c; state: what the ``kernel`` takes."""
+        self.source, n = ContactSamples(given), len(given.sensors)
+        self.found, self.samples = np.full((found, n, 6), np.nan), np.zeros((n, 6))
+        self.stiffness, self.damping = self.found[:2]
+        self._state = state
+        self._take = bound(
+            kernel, self.source.ready, self.source.sample, *state, self.samples, self.found
+        )
+
+    def update(self, wrench: Array, pose: Array, twist: Array) -> None:
+        """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
+        self.source.take(wrench, pose, twist)
+        self._take()
+
+
 @register
 class Instrumental(ContactIdentifier):
     """Batch least squares with instrumental variables: the reference method for a noisy pose."""
@@ -73,34 +93,16 @@ class Instrumental(ContactIdentifier):
     )
 
     @classmethod
-    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> InstrumentVariables:
-        return InstrumentVariables(ContactSamples(given), np.array([o.lag for o in own]))
-
-
-class InstrumentVariables:
-    """Estimates on six axes for ``n`` runs; attributes as in :class:`RecursiveLeastSquares`."""
-
-    def __init__(self, source: ContactSamples, lags: NDArray[np.int64]) -> None:
-        """``lags``: (n,) ticks by which the instruments are older than the samples."""
-        n = len(lags)
-        self.source, self._lags = source, lags
-        self._past = np.zeros((n, int(lags.max()) + 1, 6, 3))
-        self._length = np.zeros(n, dtype=np.int64)  # samples of this contact
-        self._sums = np.zeros((n, 6, 3, 4))  # Z^T Phi, Z^T y
-        self.stiffness, self.damping = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
-        self.samples = np.zeros((n, 6))
-
-    def update(self, wrench: Array, pose: Array, twist: Array) -> None:
-        """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
-        self.source.take(wrench, pose, twist)
-        _accumulate(
-            self.source.ready, self.source.sample, self._lags, self._past, self._length, self._sums,
-            self.samples, self.stiffness, self.damping,
-        )  # fmt: skip
+    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> SampleFit:
+        n, lags = len(own), np.array([o.lag for o in own])
+        past, length = np.zeros((n, int(lags.max()) + 1, 6, 3)), np.zeros(n, dtype=np.int64)
+        # Z^T Phi, Z^T y
+        return SampleFit(given, _instruments, 2, lags, past, length, np.zeros((n, 6, 3, 4)))
 
 
 @njit(cache=True)
-def _accumulate(ready, sample, lags, past, length, sums, samples, stiffness, damping):
+def _instruments(ready, sample, lags, past, length, sums, samples, found):
+    """``past``: regressors of this contact, of ``length`` (n,) samples."""
     for i in range(sample.shape[0]):
         if not ready[i]:
             length[i] = 0
@@ -112,31 +114,25 @@ def _accumulate(ready, sample, lags, past, length, sums, samples, stiffness, dam
                 past[i, now, j, a] = sample[i, j, a]
             if length[i] < lags[i]:
                 continue
+            s = sums[i, j]
             for a in range(3):
-                z = past[i, then, j, a]
                 for b in range(4):
-                    sums[i, j, a, b] += z * sample[i, j, b]
+                    s[a, b] += past[i, then, j, a] * sample[i, j, b]
             samples[i, j] += 1.0
-            if samples[i, j] >= INSTRUMENTAL_SAMPLES:
-                _solve(sums[i, j], samples[i, j], stiffness[i], damping[i], j)
+            if samples[i, j] < INSTRUMENTAL_SAMPLES:
+                continue
+            one = s[2, 2]
+            xx = s[0, 0] - s[0, 2] * s[2, 0] / one
+            xv = s[0, 1] - s[0, 2] * s[2, 1] / one
+            xy = s[0, 3] - s[0, 2] * s[2, 3] / one
+            vx = s[1, 0] - s[1, 2] * s[2, 0] / one
+            vv = s[1, 1] - s[1, 2] * s[2, 1] / one
+            vy = s[1, 3] - s[1, 2] * s[2, 3] / one
+            det = xx * vv - xv * vx
+            if xx >= samples[i, j] * MINIMUM_TRAVEL**2 and abs(det) > 1e-10 * abs(xx * vv):
+                found[0, i, j] = (vv * xy - xv * vy) / det
+                found[1, i, j] = (xx * vy - vx * xy) / det
         length[i] += 1
-
-
-@njit(cache=True)
-def _solve(s, n, stiffness, damping, j):
-    """Eliminate the intercept, then solve two equations for k and c."""
-    one = s[2, 2]
-    xx = s[0, 0] - s[0, 2] * s[2, 0] / one
-    xv = s[0, 1] - s[0, 2] * s[2, 1] / one
-    xy = s[0, 3] - s[0, 2] * s[2, 3] / one
-    vx = s[1, 0] - s[1, 2] * s[2, 0] / one
-    vv = s[1, 1] - s[1, 2] * s[2, 1] / one
-    vy = s[1, 3] - s[1, 2] * s[2, 3] / one
-    det = xx * vv - xv * vx
-    if xx < n * MINIMUM_TRAVEL**2 or abs(det) <= 1e-10 * abs(xx * vv):
-        return
-    stiffness[j] = (vv * xy - xv * vy) / det
-    damping[j] = (xx * vy - vx * xy) / det
 
 
 @register
@@ -148,41 +144,16 @@ class HuntCrossley(ContactIdentifier):
     kind: Literal["hunt_crossley"] = "hunt_crossley"
 
     @classmethod
-    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> HuntCrossleyFit:
-        return HuntCrossleyFit(ContactSamples(given))
-
-
-class HuntCrossleyFit:
-    """Estimates on six axes for ``n`` runs; attributes as in :class:`RecursiveLeastSquares`, and
-
-    Attributes:
-        exponent: ``(n, 6)`` n [-], NaN before the first estimate.
-        coefficient: ``(n, 6)`` k [N/m^n].
-        alpha: ``(n, 6)`` [s/m].
-    """
-
-    def __init__(self, source: ContactSamples) -> None:
-        n = len(source.delay)
-        self.source = source
-        self._sums = np.zeros((n, 6, SUMS))
-        self._deepest = np.zeros((n, 6))
-        self._found = np.full((5, n, 6), np.nan)
-        self.exponent, self.coefficient, self.alpha, self.stiffness, self.damping = self._found
-        self.samples = np.zeros((n, 6))
-
-    def update(self, wrench: Array, pose: Array, twist: Array) -> None:
-        """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
-        source = self.source
-        source.take(wrench, pose, twist)
-        _fit_hunt_crossley(
-            source.ready, source.sample, self._sums, self._deepest, self.samples, self._found
-        )
+    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> SampleFit:
+        n = len(own)
+        # also n [-], k [N/m^n] and alpha [s/m]
+        return SampleFit(given, _hunt_crossley, 5, np.zeros((n, 6, SUMS)), np.zeros((n, 6)))
 
 
 @njit(cache=True)
-def _fit_hunt_crossley(ready, sample, sums, deepest, samples, found):
-    exponent, coefficient, alpha = found[0], found[1], found[2]
-    stiffness, damping = found[3], found[4]
+def _hunt_crossley(ready, sample, sums, deepest, samples, found):
+    stiffness, damping = found[0], found[1]
+    exponent, coefficient, alpha = found[2], found[3], found[4]
     for i in range(sample.shape[0]):
         if not ready[i]:
             continue
@@ -222,46 +193,21 @@ class KalmanIdentifier(ContactIdentifier):
     )
 
     @classmethod
-    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> AdaptiveKalman:
-        return AdaptiveKalman(ContactSamples(given), np.array([o.wander for o in own]))
-
-
-class _State(NamedTuple):
-    """The state of the filters, ``(n, 6, ...)``."""
-
-    state: Array
-    covariance: Array
-    noise: Array  # variance of the force
-    speed: Array  # that scales the columns; 0: not yet known
-    samples: Array
-    found: Array  # (4, n, 6) k, c and their standard deviations
-
-
-class AdaptiveKalman:
-    """Estimates on six axes for ``n`` runs; attributes as in :class:`RecursiveLeastSquares`."""
-
-    def __init__(self, source: ContactSamples, wander: Array) -> None:
-        """``wander``: (n,) factor of the process noise [-]."""
-        n = len(wander)
-        self.source = source
-        found = np.full((4, n, 6), np.nan)
-        self.stiffness, self.damping, self.stiffness_sd, self.damping_sd = found
-        self.samples = np.zeros((n, 6))
-        floor = np.repeat(np.maximum(source.noise, [1e-6, 1e-7]) ** 2, 3, axis=1)
-        covariance, noise, speed = np.tile(P0 * np.eye(3), (n, 6, 1, 1)), *np.zeros((2, n, 6))
-        self._state = _State(np.zeros((n, 6, 3)), covariance, noise, speed, self.samples, found)
-        self._filter = bound(_filter, source.ready, source.sample, wander, floor, self._state)
-
-    def update(self, wrench: Array, pose: Array, twist: Array) -> None:
-        """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
-        self.source.take(wrench, pose, twist)
-        self._filter()
+    def estimator(cls, own: Sequence[Self], given: SampleParameters) -> SampleFit:
+        n, wander = len(own), np.array([o.wander for o in own])
+        state, covariance = np.zeros((n, 6, 3)), np.tile(P0 * np.eye(3), (n, 6, 1, 1))
+        # variance of the force; speed that scales the columns, 0: not yet known
+        noise, speed = np.zeros((2, n, 6))
+        sigma = [[max(s.noise, 1e-6), max(s.torque_noise, 1e-7)] for s in given.sensors]
+        floor = np.repeat(np.array(sigma) ** 2, 3, axis=1)
+        fit = SampleFit(given, _kalman, 4, (wander, floor), state, covariance, noise, speed)
+        fit.stiffness_sd, fit.damping_sd = fit.found[2:]
+        return fit
 
 
 @njit(cache=True)
-def _filter(ready, sample, wander, floor, now):
-    state, covariance, noise, speed, samples, found = now
-    phi, gain = np.empty(3), np.empty(3)
+def _kalman(ready, sample, given, state, covariance, noise, speed, samples, found):
+    (wander, floor), phi, gain = given, np.empty(3), np.empty(3)
     for i in range(sample.shape[0]):
         if not ready[i]:
             continue

@@ -20,9 +20,9 @@ from hiltestbed.contact.composition import (
     FLANGE,
     PASSIVE,
     Structure,
-    add_active,
     add_contact,
     add_passive,
+    add_side,
     weigh_contact,
 )
 from hiltestbed.contact.mount import CARRIER
@@ -62,7 +62,7 @@ def facility_spec(facility: Facility, structure: Structure, timestep: float) -> 
     if flange.name != FLANGE:
         flange = flange.add_body(name=FLANGE, pos=site.pos, quat=site.quat)
         plane = np.zeros(3)
-    add_active(spec, structure, flange, plane, TOOL_HOME[:3])
+    add_side(spec, structure.mechanism, ACTIVE, flange, plane, TOOL_HOME[:3])
     spec.delete(spec.site(NOMINAL))  # add_passive adds it again, at the same pose
     add_passive(spec, structure, spec.body(CARRIER))
     if isinstance(facility, PhysicalFacility):
@@ -181,7 +181,7 @@ def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
     integrated = structure.mounted or structure.sides.moving
     mass = INTEGRATED_MASS if integrated else PRESCRIBED_MASS
     body.mass, body.inertia, body.explicitinertial = mass, np.full(3, mass), True
-    add_active(spec, structure, body, np.zeros(3), np.zeros(3))
+    add_side(spec, structure.mechanism, ACTIVE, body)
     add_contact(spec, structure)
     model = spec.compile()
     weigh_contact(model, BODY)

@@ -17,7 +17,8 @@ from hiltestbed.contact.surfaces.surface import (
     ELLIPSOID,
     PLANE,
     SPHERE,
-    shape_distance,
+    of_geom,
+    signed_distance,
 )
 
 SIZES = {
@@ -63,10 +64,13 @@ def awkward_points(kind: int) -> np.ndarray:
 def test_the_foot_is_on_the_surface_and_the_sign_tells_the_side(kind: int) -> None:
     sizes, normal, there = np.array(SIZES[kind]), np.zeros(3), np.zeros(3)
     for p in awkward_points(kind):
-        distance = shape_distance(kind, sizes, p, normal)
+        distance = signed_distance(of_geom(kind, sizes), p, math.inf, normal)
         assert (distance < 0.0) == inside(kind, SIZES[kind], p)
         assert np.linalg.norm(normal) == pytest.approx(1.0, abs=1e-12)
-        assert abs(shape_distance(kind, sizes, p - distance * normal, there)) < 1e-12
+        assert (
+            abs(signed_distance(of_geom(kind, sizes), p - distance * normal, math.inf, there))
+            < 1e-12
+        )
 
 
 @pytest.mark.parametrize("kind", [k for k in SIZES if k != PLANE])
@@ -78,7 +82,7 @@ def test_no_point_of_the_surface_is_nearer(kind: int) -> None:
     directions = np.random.default_rng(1).normal(size=(200, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     for p in awkward_points(kind)[::4]:
-        distance = shape_distance(kind, sizes, p, normal)
+        distance = signed_distance(of_geom(kind, sizes), p, math.inf, normal)
         within = inside(kind, SIZES[kind], p)
         assert all(
             inside(kind, SIZES[kind], q) == within
@@ -95,7 +99,7 @@ def test_the_sizes_are_those_of_mujoco(kind: int) -> None:
         <body><freejoint/><geom type="sphere" size="0.01"/></body></worldbody></mujoco>""")
     data, normal = mujoco.MjData(model), np.zeros(3)
     for p in awkward_points(kind)[100:140]:
-        distance = shape_distance(kind, np.array(SIZES[kind]), p, normal)
+        distance = signed_distance(of_geom(kind, np.array(SIZES[kind])), p, math.inf, normal)
         if distance < 0.02:
             continue
         data.qpos[:3] = p
