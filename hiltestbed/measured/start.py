@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiltestbed.measured.noise import FREE_MINIMUM
+from hiltestbed.measured.noise import FREE_MINIMUM, MAD_TO_SIGMA, OUTLIER_SIGMA
 from hiltestbed.measured.ratio import (
     CLEAR,
     OTHER_UNIT,
@@ -39,8 +39,8 @@ class Start:
         begin: [m], travel: [m] before the first touch; expected_begin, expected_travel: [m] of the
             scenario. ratio: of the path to the scenario's; 0 if it is not proportional to that.
         velocity: [m/s] of the scenario. rate: [m/s] at the first row, by a parabola through the
-            free flight, since a spurious force reading makes it accelerate; rate_sd: [m/s] of it.
-            gap: [m] of the scenario.
+            free flight without outliers, since a spurious force reading makes it accelerate;
+            rate_sd: [m/s] of it. gap: [m] of the scenario.
     """
 
     begin: float
@@ -90,8 +90,11 @@ def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> St
     # otherwise a touch before the nominal one is possible
     rate = velocity, math.inf
     if scenario.mechanism.flat or found.contacts:
-        slope = np.linalg.pinv(np.vander(t - t[0], 3, increasing=True))[1]
-        rate = float(slope @ values), sigma * float(np.linalg.norm(slope))
+        terms = np.vander(t - t[0], 3, increasing=True)
+        left = np.abs(values - terms @ (np.linalg.pinv(terms) @ values))
+        near = left <= OUTLIER_SIGMA * max(MAD_TO_SIGMA * float(np.median(left)), sigma)
+        slope = np.linalg.pinv(terms[near])[1]
+        rate = float(slope @ values[near]), sigma * float(np.linalg.norm(slope))
     return Start(begin, end - begin, ratio, *expected, velocity, *rate, approach.gap)
 
 

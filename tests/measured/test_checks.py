@@ -90,6 +90,12 @@ MISTAKES = {  # a change of the data; of the error: its channel, words, and what
 }
 
 
+def test_a_spike_at_the_start_is_no_other_approach(tmp_path: Path) -> None:
+    table = bounce.columns()
+    table["pose_cmd.pz"][7] += 1e-3
+    assert not _errors(examine(bounce.write_dataset(tmp_path, table)))
+
+
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_what_contradicts_the_physics_is_an_error_with_its_fix(
     tmp_path: Path, mistake: str
