@@ -198,9 +198,8 @@ class AxisModel(Model):
             speed=largest([m.v for m in motions]),
             acceleration=largest([m.a for m in motions]),
             tick=float(np.median(self.ticks)),
-            duration=max(float(m.t[-1] - m.t[0]) for m in motions),
             rotates=self.rotates,
-            **more,
+            **{"duration": max(float(m.t[-1] - m.t[0]) for m in motions), **more},
         )
 
 
@@ -387,6 +386,7 @@ class ServoModel(AxisModel):
             [r.y for r in self.records],
             [motion_of(t, y) for t, y in (even(r.t, r.y) for r in self.records)],
             force=0.0,
+            duration=max(float(r.t[-1] - r.t[0]) for r in self.records),
         )
         return self._parts(scale)
 

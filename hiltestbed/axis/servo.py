@@ -59,7 +59,8 @@ def response(t, u, y0, p, longest):
     n = len(t)
     out = np.empty(n)
     w, zeta, most = p[BANDWIDTH], p[ZETA], p[ACCELERATION]
-    s, root = zeta * w, w * math.sqrt(abs(1.0 - zeta * zeta))
+    s, square = zeta * w, w * w * (1.0 - zeta * zeta)
+    root = math.sqrt(abs(square))
     gap = 0.5 * p[PLAY]
     # all that moves rests where the record begins
     x = (y0 - p[OFFSET]) / p[SCALE] if p[SCALE] != 0.0 else 0.0
@@ -73,9 +74,9 @@ def response(t, u, y0, p, longest):
         if w > 0.0 and h > 0.0 and abs(h - stepped) > 1e-12:
             # what takes (z, z') of z'' + 2 zeta w z' + w^2 z = 0 over the step
             e, even, odd = math.exp(-s * h), 1.0, h
-            if zeta < 1.0:
+            if square > 0.0:
                 even, odd = math.cos(root * h), math.sin(root * h) / root
-            elif zeta > 1.0:
+            elif square < 0.0:
                 even, odd = math.cosh(root * h), math.sinh(root * h) / root
             a, b, c, d = e * (even + s * odd), e * odd, -e * w * w * odd, e * (even - s * odd)
             stepped = h

@@ -46,7 +46,8 @@ def read_log(path: Path) -> Log:
     names, bare = known.names, all(name.isdigit() for name in known.names)
     columns = _loaded(file, names)
     found = {n: role_of(n, columns.units.get(n, "")) for n in names if n in columns.data}
-    moving = {n: role for n, role in found.items() if _moves(columns.data[n])}
+    spans = {n: finite(columns.data[n]) for n in found}
+    moving = {n: r for n, r in found.items() if len(spans[n]) and float(np.ptp(spans[n])) > 0.0}
     # an attitude is whole or none: an angle belongs to it though it does not change
     turned = {(r.part[:1], r.commanded) for r in moving.values() if r.angular}
     roles = {
@@ -73,11 +74,6 @@ def read_log(path: Path) -> Log:
         bare,
         known.notes if bare else (),
     )
-
-
-def _moves(values: Array) -> bool:
-    known = finite(values)
-    return len(known) > 1 and float(np.ptp(known)) > 0.0
 
 
 def _loaded(file: Path, names: Sequence[str]) -> Columns:

@@ -73,7 +73,12 @@ def ends_of_axis(log: Log, quantities: Sequence[str] = ()) -> tuple[Role | None,
         inputs += [r for q in quantities for r in roles if r.quantity == q and r.commanded]
     else:
         inputs = [r for r in roles if r.commanded and r.quantity in ("position", "")]
-    return max(inputs, key=lambda r: _likeness(r, place), default=None), place
+
+    def likeness(role: Role) -> float:
+        name = place.column if place is not None else ""
+        return difflib.SequenceMatcher(None, role.column, name).ratio()
+
+    return max(inputs, key=likeness, default=None), place
 
 
 def axes_of(log: Log) -> dict[str, tuple[Role | None, Role | None]]:
@@ -121,12 +126,6 @@ def _arm(log: Log) -> list[Entry]:
         for part, role in (("position", joint.position), ("input", joint.effort)):
             entries.append(_channel(f"{joint.name}.{part}", role, not slides, log, ()))
     return _together(entries, [f"{joint.name}.position" for joint in joints], log)
-
-
-def _likeness(role: Role, other: Role | None) -> float:
-    if other is None:
-        return 0.0
-    return difflib.SequenceMatcher(None, role.column, other.column).ratio()
 
 
 def _channel(
@@ -184,8 +183,9 @@ def docking_entries(log: Log, stated: bool) -> list[Entry]:
     stated: it is known to hold them, so that a position and a force without an axis are z.
     """
     taken: dict[str, Entry] = {}
+    along_z = {"force": "fz", "position": "pz"}
     for name, role in log.roles.items():
-        part = role.part or (_along_z(role) if stated else "")
+        part = role.part or (along_z.get(role.quantity, "") if stated else "")
         if not part or role.quantity == "other":
             continue
         channel = channel_of(role, part)
@@ -210,10 +210,6 @@ def docking_entries(log: Log, stated: bool) -> list[Entry]:
     for group in ("wrench_meas", "wrench_comp"):
         entries = _pushing(entries, group, log)
     return [*_time(log), *entries]
-
-
-def _along_z(role: Role) -> str:
-    return {"force": "fz", "position": "pz"}.get(role.quantity, "")
 
 
 def _pushing(entries: Sequence[Entry], group: str, log: Log) -> list[Entry]:

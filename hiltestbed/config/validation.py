@@ -26,7 +26,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from hiltestbed.config.models import models_folder
 from hiltestbed.config.yaml_source import KeyPath, Source, describe
-from hiltestbed.errors import Fault, InputError
+from hiltestbed.errors import InputError
 from hiltestbed.plugins import OneOf
 from hiltestbed.run_folder.folders import is_file
 
@@ -146,7 +146,9 @@ def validate(
         problems += new
         if not new:
             said = [source.fault(*item) for item in problems if not _is_misspelt(item, problems)]
-            raise InputError(sorted(said, key=_order))
+            raise InputError(
+                sorted(said, key=lambda f: (f.line is None, f.line or 0, f.column or 0))
+            )
         data = copy.deepcopy(data)
         for path, _ in new:
             known = not path or path[-1] != "kind" or _holds(specimen or {}, path)
@@ -165,10 +167,6 @@ def _is_misspelt(missing: Problem, problems: list[Problem]) -> bool:
     return message.startswith("is missing") and any(
         other[:-1] == path[:-1] and text.startswith(hint) for other, text in problems
     )
-
-
-def _order(fault: Fault) -> tuple[bool, int, int]:
-    return (fault.line is None, fault.line or 0, fault.column or 0)
 
 
 def _holds(data: Any, path: KeyPath) -> bool:
@@ -206,7 +204,10 @@ def _problems(model: type[BaseModel], data: Any, error: ValidationError) -> Iter
         elif detail["type"] == "union_tag_invalid":
             yield (*path, "kind"), _message(detail)
         elif detail["type"] == "extra_forbidden":
-            yield path, _unknown(path, _model_at(model, data, path[:-1]))
+            owner = _model_at(model, data, path[:-1])
+            allowed = list(_fields(owner)) if owner is not None else []
+            hint = nearest(str(path[-1]), allowed)
+            yield path, f"unknown key{hint}; allowed: {', '.join(allowed) or 'none'}"
         else:
             yield path, _message(detail)
 
@@ -226,11 +227,6 @@ def _path(data: Any, location: tuple[int | str, ...]) -> KeyPath:
         ):
             path.append(part)
     return tuple(path)
-
-
-def _unknown(path: KeyPath, owner: type[BaseModel] | None) -> str:
-    allowed = list(_fields(owner)) if owner is not None else []
-    return f"unknown key{nearest(str(path[-1]), allowed)}; allowed: {', '.join(allowed) or 'none'}"
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 
@@ -13,8 +12,7 @@ from hiltestbed.frames import Array
 FREE_MINIMUM = 20  # samples before the first touch, at least, to estimate a noise floor
 # its sigma for white noise of unit sigma: the variance is 1 + 9 + 9 + 1
 THIRD_DIFFERENCE = math.sqrt(20.0)
-# of normal samples half lie within the median of their sizes
-MAD_TO_SIGMA = 1.0 / NormalDist().inv_cdf(0.75)
+MAD_TO_SIGMA = 1.4826
 OUTLIER_SIGMA = 4.0  # derived: standard deviations, beyond which 6e-5 of normal samples lie
 # Derived: level in steps with a noise of 0.2 steps. An eighth of the variance of rounding is then
 # alike from row to row: the first harmonic of its sawtooth, 12/(2 pi^2) of that variance, times

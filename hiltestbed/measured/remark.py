@@ -80,17 +80,13 @@ def together(remarks: Iterable[Remark]) -> list[Remark]:
     groups: dict[tuple[object, ...], list[Remark]] = {}
     for remark in remarks:
         groups.setdefault(remark.finding, []).append(remark)
-    return [_joined(group) for group in groups.values()]
-
-
-def _joined(alike: list[Remark]) -> Remark:
-    first, channels = alike[0], list(dict.fromkeys(remark.channel for remark in alike))
-    if len(channels) == 1:
-        return first
-    fix = first.fix
-    if fix and first.channel in fix:
-        fix += f"; likewise for {', '.join(channels[1:])}"
-    return replace(first, channel=", ".join(channels), fix=fix)
+    out = []
+    for first, *others in groups.values():
+        more = list(dict.fromkeys(r.channel for r in others if r.channel != first.channel))
+        also = f"; likewise for {', '.join(more)}" if more and first.channel in first.fix else ""
+        channel = ", ".join([first.channel, *more])
+        out.append(replace(first, channel=channel, fix=first.fix + (also if first.fix else "")))
+    return out
 
 
 def overrides(remarks: Iterable[Remark]) -> tuple[str, ...]:

@@ -23,7 +23,6 @@ class DamperStiffness(DamperEffect):
     factor: float = quantity("-", "True stiffness over nominal stiffness", search=(0.0, 5.0))
     equation = "k -> factor k"
     reference = "Hooke"
-
     multiplies = {"factor": (law.SPRING,)}
 
     @classmethod
@@ -40,7 +39,6 @@ class DamperDamping(DamperEffect):
     factor: float = quantity("-", "True damping over nominal damping", ge=0.0, search=(0.0, 50.0))
     equation = "c -> factor c"
     reference = "viscous damper"
-
     multiplies = {"factor": (law.VISCOUS, law.VISCOUS_BACK, law.BEYOND, law.BEYOND_BACK)}
 
     @classmethod
@@ -279,7 +277,6 @@ class DamperOilLag(DamperEffect):
     equation = "time_constant F_d' = f_d(motion) - F_d"
     reference = "bulk modulus of the oil column in series with the valve"
     resembles = ("contact.relaxation",)
-
     adds = {"time_constant": law.LAG}
 
     @classmethod

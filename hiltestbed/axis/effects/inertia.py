@@ -36,7 +36,6 @@ class AxisMass(BodyEffect):
     reference = "Newton"
     resembles = ("dynamics.gain",)
     same = ("dynamics.gain",)
-
     multiplies = {"factor": (law.MASS,)}
     sought = {"factor": FACTORS}
 
@@ -55,7 +54,6 @@ class AxisGain(DriveEffect):
     equation = "force = factor gain u"
     reference = "torque constant of a motor with its gear"
     resembles = ("dynamics.mass",)
-
     multiplies = {"factor": (law.GAIN,)}
     sought = {"factor": FACTORS}
 

@@ -148,7 +148,6 @@ class AxisGravity(DriveEffect):
     reference = "m g l of a rigid load"
     resembles = ("dynamics.spring",)
     axes = ("drive",)  # of an arm, gravity follows from its bodies
-
     adds = {"sine": law.GRAVITY_SIN, "cosine": law.GRAVITY_COS}
     sought = dict.fromkeys(
         ("sine", "cosine"), Sought((0.0,), (-2.0, 2.0), lambda reach: reach.force)

@@ -35,7 +35,6 @@ class ServoDelay(ServoEffect):
     equation = "x(t) = x_cmd(t - delay)"
     reference = "pure transport delay"
     resembles = ("platform.lag",)
-
     adds = {"delay": servo.DELAY}
 
     @classmethod
