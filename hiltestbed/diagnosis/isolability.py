@@ -25,7 +25,7 @@ from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.result import Isolable
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
-from hiltestbed.inference.conclude import TOLD_APART
+from hiltestbed.inference.conclude import NAMED, TOLD_APART
 from hiltestbed.inference.search import Progress
 
 SIZE_ERROR = 0.03  # relative, of the smallest size that shows
@@ -159,7 +159,7 @@ def detectable(
         """
         each: list[Effects] = [[c.at(_at(c, s))] for c, s in zip(some, sizes, strict=True)]
         squares = FisherInformation(model, each).squares() if squares is None else squares
-        prices = np.array([-here.evidence(0.0, (c,)) for c in some])
+        prices = np.array([NAMED - here.evidence(0.0, (c,)) for c in some])
         least = CERTAINTY + np.sqrt(CERTAINTY**2 + 2.0 * prices)
         over = np.minimum(np.sqrt(squares) / least, model.over_negligible(each))
         return np.asarray(np.log(np.maximum(over, np.finfo(float).tiny)))

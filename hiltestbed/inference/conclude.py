@@ -28,6 +28,9 @@ RIVALS = 3  # effects that are fitted in the place of a cause
 POOL = 8  # sets of effects that are compared on left-out runs
 # log of the odds of 19 to 1, at which two explanations count as told apart
 TOLD_APART = math.log(19.0)
+# the same of 99 to 1, by which a cause has to raise the evidence: where it does not act, it does so
+# in one record of a hundred at most (A. A. Markov's inequality for the ratio of two likelihoods)
+NAMED = math.log(99.0)
 # quantile of Student's t with two runs less one is 12.7; with so few the scatter is bounded by the
 # curvature instead, and that of three runs is taken
 MOST_QUANTILE = float(student.ppf(0.975, 2))
@@ -249,16 +252,21 @@ class _Trial:
 
 
 def _selected(trial: _Trial, found: Searched, progress: Progress | None) -> PosteriorFit:
-    """The hypothesis with the most evidence that none predicts the left-out runs better than."""
+    """The hypothesis with the most evidence that none predicts the left-out runs better than; where
+    what is known to be noise alone is left, without the causes that are not needed for that.
+    """
     likelihood, judge = trial.likelihood, trial.judge
     fit = found.best if found.best.evidence > found.null.evidence else found.null
     pool = [] if trial.known else _pool(found)
-    # what is known to leave noise alone is right as far as these data tell
-    while not likelihood.model.leaves_noise(fit.left):
+    while True:
         if progress:
             progress(f"left-out runs: {named(fit)}")
         fewer = [without(likelihood, fit, i) for i in range(len(fit.causes))]
-        if trial.known:
+        if likelihood.model.leaves_noise(fit.left):
+            better = [f for f in fewer if f.evidence > fit.evidence - NAMED]
+            better = [f for f in better if likelihood.model.leaves_noise(f.left)]
+            better.sort(key=lambda f: -f.evidence)
+        elif trial.known:
             better = [f for f in fewer if judge.score(f) <= judge.score(fit)]
             better.sort(key=judge.score)
         else:
