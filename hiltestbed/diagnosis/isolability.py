@@ -4,8 +4,8 @@ which effects would look the same.
 The idea of structural fault isolation (E. Frisk, M. Krysander, fault isolability of over-determined
 systems), with sensitivities from replays of the links in place of structure: two effects with
 parallel residuals cannot be told apart at small size. The likelihood is that by which causes are
-chosen: an effect shows at the size at which its evidence exceeds that of nothing, and two are told
-apart by the odds at which two causes are.
+chosen: an effect shows at the size at which it would be named, and two are told apart by the odds
+at which two causes are.
 """
 
 from __future__ import annotations
