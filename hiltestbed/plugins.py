@@ -61,7 +61,8 @@ class Registry(Mapping[str, type[T]], Generic[T]):
             raise InputError(
                 f"plugin class {where}: lacks `kind`; give it as kind: Literal['name'] = 'name'"
             )
-        lacking = [part for part in getattr(cls, "PARTS", ()) if not _has(cls, part)]
+        ways = [part.split("|") for part in getattr(cls, "PARTS", ())]
+        lacking = [" or ".join(way) for way in ways if not any(_has(cls, part) for part in way)]
         if lacking:
             raise InputError(
                 f"plugin class {where}: the {self.what} {kind!r} lacks {', '.join(lacking)}; "
@@ -145,7 +146,7 @@ def _has(cls: type, part: str) -> bool:
     return (
         value is not None
         and not getattr(getattr(value, "__func__", value), "placeholder", False)
-        and value != ""
+        and value not in ("", {})
     )
 
 

@@ -11,7 +11,7 @@ from pydantic import Field
 from hiltestbed.axis.law import ArmNumbers
 from hiltestbed.effects.departure import Departure
 from hiltestbed.effects.search import Candidate, candidate
-from hiltestbed.plugins import Registry
+from hiltestbed.plugins import Registry, placeholder
 
 AxisKind = Literal["drive", "servo", "damper", "arm"]
 
@@ -50,9 +50,8 @@ class Sought(NamedTuple):
 
 
 class AxisEffect(Departure):
-    """Base of every effect on a single axis. A class needs a docstring, the parts named in
-    :data:`PARTS`, and ``adds``, ``multiplies`` or a method ``apply``, and ``sought`` or a method
-    ``parts``.
+    """Base of every effect on a single axis. A class needs a docstring, and the parts named in
+    :data:`PARTS`.
 
     Attributes:
         axes: the kinds of axis on which it acts. adds, multiplies: parameter to the places in the
@@ -60,13 +59,22 @@ class AxisEffect(Departure):
             needs: parameters, as "kind:name", without which these mean nothing.
     """
 
-    PARTS: ClassVar[tuple[str, ...]] = ("docstring", "link", "axes", "equation", "reference")
+    PARTS: ClassVar[tuple[str, ...]] = (
+        "docstring",
+        "link",
+        "axes",
+        "equation",
+        "reference",
+        "apply|adds|multiplies",
+        "parts|sought",
+    )
     axes: ClassVar[tuple[AxisKind, ...]] = ()
     adds: ClassVar[Mapping[str, int]] = {}
     multiplies: ClassVar[Mapping[str, tuple[int, ...]]] = {}
     sought: ClassVar[Mapping[str, Sought]] = {}
     needs: ClassVar[tuple[str, ...]] = ()
 
+    @placeholder
     def apply(self, p: Any) -> None:
         """Change the numbers of an axis, those of a law or of a servo, in place."""
         numbers = getattr(p, "numbers", p)
@@ -76,6 +84,7 @@ class AxisEffect(Departure):
             numbers[list(places)] *= getattr(self, name)
 
     @classmethod
+    @placeholder
     def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         """The parts of the effect that a diagnosis searches: free parameters, bounds and starting
         points, scaled to the data.
