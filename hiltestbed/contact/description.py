@@ -173,9 +173,9 @@ class MechanismFile(_Strict):
 
 
 @lru_cache(maxsize=32)
-def read(path: Path, stamp: int) -> MechanismFile:
-    """The description in the file ``path``, changed at ``stamp``. Raises InputError with all its
-    faults.
+def read(path: Path, stamp: int = 0) -> MechanismFile:
+    """The description in the file ``path``, read again where its ``stamp``, the time of its last
+    change, is another one. Raises InputError with all its faults.
     """
     try:
         tree = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
