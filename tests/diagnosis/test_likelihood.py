@@ -12,7 +12,9 @@ import pytest
 from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import norm
 
+from hiltestbed.diagnosis.explain import explain
 from hiltestbed.diagnosis.investigate import candidates_of
+from hiltestbed.diagnosis.isolability import detectable
 from hiltestbed.diagnosis.layout import lay_out
 from hiltestbed.diagnosis.link_model import LinkModel, leftover
 from hiltestbed.diagnosis.paths import best_path, make_wrench_link
@@ -24,6 +26,7 @@ from hiltestbed.measured import MeasuredDataset
 from tests.diagnosis.recorded import drawn
 
 FLOOR = 1.2
+PRELOADED = ("contact.preload", "contact.stiffness", "contact.damping")
 NOTHING = Hypothesis((), np.zeros(0), np.zeros(0))
 
 
@@ -159,3 +162,18 @@ def test_the_size_of_a_jitter_is_that_of_its_delays(healthy: MeasuredDataset) ->
     found = likelihood.fit((jitter,), [np.array([layout.scales.tick])])
     assert model.leaves_noise(found.left)
     assert found.of.theta[0] / sigma == pytest.approx(0.5 * math.sqrt(squares / weights), rel=0.03)
+
+
+@pytest.mark.parametrize(("part", "kinds"), [(0.25, ()), (2.0, ("contact.preload",))])
+def test_an_effect_is_named_at_twice_the_size_that_shows_and_not_at_a_quarter_of_it(
+    healthy: MeasuredDataset, part: float, kinds: tuple[str, ...]
+) -> None:
+    layout = lay_out(healthy)
+    link = make_wrench_link(layout, best_path(layout, None), layout.rows)
+    candidates = [c for c in candidates_of(layout.scales, ("contact",)) if c.kind in PRELOADED]
+    (least,) = (d for d in detectable(LinkModel(link), candidates) if d.kind == "contact.preload")
+    more = zip(link.shown_in_all(least.effects), link.shown_in_all(), strict=True)
+    pairs = zip(link.runs, more, strict=True)
+    acting = copy(link)
+    acting.runs = [replace(r, measured=r.measured + part * (a - b)) for r, (a, b) in pairs]
+    assert explain(LinkModel(acting), candidates).kinds == kinds
