@@ -129,13 +129,14 @@ def _varied(here, best, candidates, visited) -> list[PosteriorFit]:
     """
     out: list[PosteriorFit] = []
     for index, cause in enumerate(best.causes):
-        own = cause.kind, cause.names
-        others = [c for c in candidates if (c.kind, c.names) == own and str(c.key) not in best.keys]
-        each = [(*best.causes[:index], c, *best.causes[index + 1 :]) for c in others]
+        first, rest = best.causes[:index], best.causes[index + 1 :]
+        alike = [c for c in candidates if (c.kind, c.names) == (cause.kind, cause.names)]
+        others = [c for c in alike if c.key != cause.key and _may_join(c, (*first, *rest))]
         start = [best.of.theta], best.of.nuisances
-        begun = [here.fit(causes, *start, SCREENED_STEPS) for causes in each]
-        for f in sorted(begun, key=lambda f: f.cost)[:1]:
-            out.append(here.fit(f.causes, [f.of.theta], f.of.nuisances))
+        begun = [here.fit((*first, c, *rest), *start, SCREENED_STEPS) for c in others]
+        if begun:
+            found = min(begun, key=lambda f: f.cost)
+            out.append(here.fit(found.causes, [found.of.theta], found.of.nuisances))
     visited.update({f.keys: f for f in out})
     return out
 

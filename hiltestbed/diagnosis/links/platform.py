@@ -80,12 +80,12 @@ class PlatformLink(ModelLink):
         """The same link on commands that may differ by ``changes`` (N, 6, D) of each run [m, rad],
         one standard deviation each.
         """
-        terms = [np.zeros_like(c) for c in changes]
+        own, terms = self.shown_in_all(), [np.zeros_like(c) for c in changes]
         for d in range(changes[0].shape[2]):
             pairs = zip(self.commands, changes, strict=True)
             other = [poses_of(flat_pose(pose) + c[:, :, d]) for pose, c in pairs]
             shown = PlatformLink(self.runs, other, self.deflection).shown_in_all()
-            for term, a, b in zip(terms, shown, self.shown_in_all(), strict=True):
+            for term, a, b in zip(terms, shown, own, strict=True):
                 term[:, :, d] = a - b
         runs = [r.with_nuisances(t) for r, t in zip(self.runs, terms, strict=True)]
         return PlatformLink(runs, self.commands, self.deflection)
